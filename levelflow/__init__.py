@@ -1,0 +1,97 @@
+"""levelflow: evolving neural implicit surfaces.
+
+Every surface is the zero set of a field; every method pushes jets through it. The public names are loaded when they
+are first used, so that importing the package costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from levelflow._version import __version__
+
+_HOMES = {
+    "Box": "boxes",
+    "Budget": "minimising",
+    "Capsule": "shapes",
+    "Circle": "shapes",
+    "Cuboid": "shapes",
+    "Cylinder": "shapes",
+    "Divergence": "minimising",
+    "Dumbbell": "shapes",
+    "EmptyLevelSet": "extraction",
+    "Field": "fields",
+    "Frame": "boxes",
+    "Implicit": "shapes.implicit",
+    "Jet": "jets",
+    "Map": "fields",
+    "Mesh": "shapes",
+    "MeshWarning": "shapes",
+    "Placed": "fields",
+    "PointCloud": "shapes",
+    "Polygon": "shapes",
+    "Rectangle": "shapes",
+    "Rotated": "shapes",
+    "SIREN": "networks.siren",
+    "Sampling": "conditions",
+    "SmoothUnion": "shapes",
+    "Sphere": "shapes",
+    "Torus": "shapes",
+    "Translated": "shapes",
+    "contact_sheet": "rendering.images",
+    "extract": "extraction",
+    "fit": "fitting",
+    "lift": "networks.lifting",
+    "load": "saving",
+    "save": "saving",
+    "solve": "solving",
+}
+_MODULES = ("curvature", "equations", "fields", "jets", "measures", "shapes")
+
+__all__ = ["__version__", *_HOMES, *_MODULES]
+
+if TYPE_CHECKING:
+    from levelflow import curvature, equations, fields, jets, measures, shapes
+    from levelflow.boxes import Box, Frame
+    from levelflow.conditions import Sampling
+    from levelflow.extraction import EmptyLevelSet, extract
+    from levelflow.fields import Field, Map, Placed
+    from levelflow.fitting import fit
+    from levelflow.jets import Jet
+    from levelflow.minimising import Budget, Divergence
+    from levelflow.networks.lifting import lift
+    from levelflow.networks.siren import SIREN
+    from levelflow.rendering.images import contact_sheet
+    from levelflow.saving import load, save
+    from levelflow.shapes import (
+        Capsule,
+        Circle,
+        Cuboid,
+        Cylinder,
+        Dumbbell,
+        Mesh,
+        MeshWarning,
+        PointCloud,
+        Polygon,
+        Rectangle,
+        Rotated,
+        SmoothUnion,
+        Sphere,
+        Torus,
+        Translated,
+    )
+    from levelflow.shapes.implicit import Implicit
+    from levelflow.solving import solve
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(importlib.import_module(f"levelflow.{_HOMES[name]}"), name)
+    if name in _MODULES:
+        return importlib.import_module(f"levelflow.{name}")
+    raise AttributeError(f"module 'levelflow' has no attribute {name!r}; it has {', '.join(__all__)}.")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

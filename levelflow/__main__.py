@@ -1,0 +1,5 @@
+"""`python -m levelflow`."""
+
+from levelflow.cli import main
+
+main()

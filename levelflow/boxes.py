@@ -1,0 +1,130 @@
+"""Where points and times are drawn from, and the similarity that normalises them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A similarity between the units of a file and the box [-1, 1]^d of a network, x = center + scale u.
+
+    Attributes:
+        center: The point that becomes the origin, in the units of the file.
+        scale: The length that becomes 1, in the units of the file.
+    """
+
+    center: tuple[float, ...]
+    scale: float
+
+    def to_unit(self, x: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
+        """Points of the file in normalised coordinates; the difference is taken in float64."""
+        center = torch.tensor(self.center, dtype=torch.float64, device=x.device)
+        return ((x.double() - center) / self.scale).to(x.dtype)
+
+    def from_unit(self, u: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
+        """Normalised points in the units of the file."""
+        center = torch.tensor(self.center, dtype=torch.float64, device=u.device)
+        return (center + self.scale * u.double()).to(u.dtype)
+
+
+@dataclass(frozen=True)
+class Box:
+    """An axis-aligned box in space, with an interval for each time or parameter.
+
+    Attributes:
+        lower: The least corner, d numbers, in the units of the shape.
+        upper: The greatest corner.
+        times: One (first, last) pair per time or parameter; empty for a static field.
+
+    Raises:
+        ValueError: If the corners do not match, are not finite, or are not in order.
+    """
+
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    times: tuple[tuple[float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        # Numbers arrive as arrays, tensors and ints; a frozen record of floats compares, prints and saves.
+        object.__setattr__(self, "lower", tuple(float(v) for v in self.lower))
+        object.__setattr__(self, "upper", tuple(float(v) for v in self.upper))
+        object.__setattr__(self, "times", tuple((float(a), float(b)) for a, b in self.times))
+        if len(self.lower) != len(self.upper) or not self.lower:
+            raise ValueError(
+                f"Box: the corners have {len(self.lower)} and {len(self.upper)} coordinates; give the same number."
+            )
+        if not np.isfinite([*self.lower, *self.upper]).all():
+            raise ValueError(f"Box: the corners {self.lower} and {self.upper} must be finite numbers.")
+        if any(a > b for a, b in zip(self.lower, self.upper, strict=True)):
+            raise ValueError(f"Box: the lower corner {self.lower} is not below the upper corner {self.upper}.")
+        if any(not a <= b for a, b in self.times):
+            raise ValueError(f"Box: the times {self.times} must be pairs (first, last) in order.")
+
+    @classmethod
+    def around(cls, points: np.ndarray | Tensor) -> Box:
+        """The smallest box that contains (n, d) points."""
+        return cls(tuple(points.min(0)), tuple(points.max(0))) if isinstance(points, np.ndarray) else cls(
+            tuple(points.amin(0).tolist()), tuple(points.amax(0).tolist())
+        )
+
+    @property
+    def space(self) -> int:
+        """The number d of space coordinates."""
+        return len(self.lower)
+
+    @property
+    def center(self) -> tuple[float, ...]:
+        return tuple((a + b) / 2 for a, b in zip(self.lower, self.upper, strict=True))
+
+    @property
+    def size(self) -> tuple[float, ...]:
+        """The side lengths."""
+        return tuple(b - a for a, b in zip(self.lower, self.upper, strict=True))
+
+    @property
+    def frame(self) -> Frame:
+        """The similarity that takes the longest side of the box to [-1, 1]."""
+        return Frame(self.center, max(self.size) / 2 or 1.0)
+
+    def expanded(self, margin: float) -> Box:
+        """The box with every side moved out by `margin`, a length in the units of the box."""
+        return Box(tuple(a - margin for a in self.lower), tuple(b + margin for b in self.upper), self.times)
+
+    def during(self, *times: tuple[float, float]) -> Box:
+        """The same box in space with the given time intervals."""
+        return Box(self.lower, self.upper, times)
+
+    def union(self, *others: Box) -> Box:
+        """The smallest box that contains this box and the others; times are this box's."""
+        boxes: Sequence[Box] = (self, *others)
+        return Box(
+            tuple(min(values) for values in zip(*(b.lower for b in boxes), strict=True)),
+            tuple(max(values) for values in zip(*(b.upper for b in boxes), strict=True)),
+            self.times,
+        )
+
+    def contains(self, x: Float[Tensor, "n d"]) -> Tensor:
+        """Whether each point lies in the box, (n,) booleans."""
+        return ((x >= x.new_tensor(self.lower)) & (x <= x.new_tensor(self.upper))).all(1)
+
+    def uniform(
+        self, n: int, *, generator: torch.Generator, dtype: torch.dtype = torch.float64
+    ) -> Float[Tensor, "n d"]:
+        """n points drawn uniformly from the box."""
+        u = torch.rand(n, self.space, generator=generator, dtype=dtype, device=generator.device)
+        return u.new_tensor(self.lower) + u * u.new_tensor(self.size)
+
+    def uniform_times(
+        self, n: int, *, generator: torch.Generator, dtype: torch.dtype = torch.float64
+    ) -> Float[Tensor, "n k"]:
+        """n times (or parameters) drawn uniformly from the intervals."""
+        u = torch.rand(n, len(self.times), generator=generator, dtype=dtype, device=generator.device)
+        first = u.new_tensor([a for a, _ in self.times])
+        return first + u * u.new_tensor([b - a for a, b in self.times])

@@ -1,0 +1,209 @@
+"""What a given shape or field asks of a field at one time: samples with values and normals, as terms of a loss."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from levelflow.boxes import Box
+from levelflow.fields import Field
+from levelflow.minimising import Batch
+from levelflow.shapes.implicit import Implicit
+from levelflow.shapes.shape import Shape, Solid
+
+Key = Shape | Field
+"""What can be given at a time."""
+
+BAND = 0.25
+"""How far from the surface a distance is asked for, in normalised units. Farther out only the sign and this bound are,
+so that no network capacity goes into the kinks of a distance on the medial axis."""
+
+MARGIN = 0.125
+"""How far a box reaches beyond what is in it, as a part of its longest side: the surface then fills [-0.8, 0.8]."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How many samples a training step draws, and of which kinds.
+
+    Attributes:
+        n: Samples in a step.
+        space_time: The share drawn in space-time, for the equation; `fit` has none and shares it out to the others.
+        surface: The share drawn on the given surfaces.
+        volume: The share drawn off the given surfaces.
+        given: Points prepared of each kind for every given shape, from which steps draw.
+
+    Raises:
+        ValueError: If a number is not positive, or a share is negative or all are zero.
+
+    Reference:
+        Novello et al., Neural Implicit Surface Evolution, ICCV 2023, Sec. 4.2 (50, 25 and 25 %).
+    """
+
+    n: int = 4096
+    space_time: float = 0.5
+    surface: float = 0.25
+    volume: float = 0.25
+    given: int = 100_000
+
+    def __post_init__(self) -> None:
+        shares = (self.space_time, self.surface, self.volume)
+        if self.n < 4 or self.given < 4 or min(shares) < 0 or not sum(shares) > 0:
+            raise ValueError(f"{self!r}: the numbers must be at least 4, and the shares non-negative and not all zero.")
+
+    def counts(self) -> tuple[int, int, int]:
+        """How many samples are drawn in space-time, on and off the given surfaces; at least one of each."""
+        shares = (self.space_time, self.surface, self.volume)
+        first, second, third = (max(1, round(self.n * share / sum(shares))) for share in shares)
+        return first, second, third
+
+
+@dataclass(frozen=True)
+class Given:
+    """Samples of a shape in normalised coordinates, drawn once, and its values.
+
+    Attributes:
+        points: On the surface, (m, d).
+        normals: The outward unit normals there.
+        near: Points near the surface, two thirds of them within about 0.02 and the rest within 0.1, (n, d).
+        near_values: The distance (or the value of a given field) there, in normalised units, (n,).
+        far: Points of the whole box, (l, d).
+        far_values: The same there, (l,).
+        value: The distance or value in the units of the shape, for points in its units.
+    """
+
+    points: Float[Tensor, "m d"]
+    normals: Float[Tensor, "m d"]
+    near: Float[Tensor, "n d"]
+    near_values: Float[Tensor, " n"]
+    far: Float[Tensor, "l d"]
+    far_values: Float[Tensor, " l"]
+    value: Callable[[Tensor], Tensor]
+
+    @classmethod
+    def of(cls, key: Key, box: Box, *, n: int, generator: torch.Generator, like: Tensor) -> Given:
+        """Draws n surface samples and n values; samples have the dtype and device of `like`.
+
+        For a shape without a distance, such as a point cloud, values are estimated from the surface samples.
+        """
+        frame = box.frame
+        surface = surface_of(key)
+        drawn = surface.sample(n, generator=generator)
+        value: Callable[[Tensor], Tensor]
+        if isinstance(key, Field):
+            value = key
+        elif isinstance(key, Solid):
+            value = key.distance
+        else:
+            value = _estimated_distance(drawn.points, drawn.normals)
+        points = frame.to_unit(drawn.points)
+        spread = points.new_full((3 * n // 4, 1), 0.02)
+        spread[n // 2 :] = 0.1
+        near = points[: len(spread)] + spread * torch.randn(
+            len(spread), box.space, generator=generator, dtype=points.dtype
+        )
+        near = near[box.contains(frame.from_unit(near))]
+        far = frame.to_unit(box.uniform(n // 4, generator=generator))
+        with torch.no_grad():
+            near_values = value(frame.from_unit(near)) / frame.scale
+            far_values = value(frame.from_unit(far)) / frame.scale
+        return cls(*(part.to(like) for part in (points, drawn.normals, near, near_values, far, far_values)), value)
+
+
+class OnSurface:
+    r"""On the given surface f = 0 and grad f = n: $f^2 + w\,|\nabla f - n|^2$."""
+
+    name = "surface"
+    weight = 1.0
+    normal = 0.01
+
+    def __init__(self, field: Field, given: Given, times: tuple[float, ...], *, n: int) -> None:
+        self.field, self.given, self.times, self.n = field, given, times, n
+
+    def sample(self, generator: torch.Generator) -> Batch:
+        return pick(self.n, self.given.points, self.given.normals, generator=generator)
+
+    def loss(self, *batch: Tensor) -> Tensor:
+        x, normals = batch
+        jet = self.field.jet(x, x.new_tensor(self.times).expand(len(x), -1), order=1)
+        return jet.value**2 + self.normal * ((jet.gradient - normals) ** 2).sum(1)
+
+
+class OffSurface:
+    """Off the surface f = d within the band, and |f| at least the band, with the right sign, beyond it."""
+
+    name = "distance"
+    weight = 1.0
+
+    def __init__(self, field: Field, given: Given, times: tuple[float, ...], *, n: int) -> None:
+        self.field, self.given, self.times, self.n = field, given, times, n
+
+    def sample(self, generator: torch.Generator) -> Batch:
+        far = self.n // 4
+        near = pick(self.n - far, self.given.near, self.given.near_values, generator=generator)
+        if not far:
+            return near
+        rest = pick(far, self.given.far, self.given.far_values, generator=generator)
+        return tuple(torch.cat(pair) for pair in zip(near, rest, strict=True))
+
+    def loss(self, *batch: Tensor) -> Tensor:
+        x, values = batch
+        return band_error(self.field(x, x.new_tensor(self.times).expand(len(x), -1)), values) ** 2
+
+
+def band_error(f: Float[Tensor, " n"], values: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+    """f - d within the band; beyond it, by how much |f| falls short of the band on the right side."""
+    error = f - values.clamp(-BAND, BAND)
+    return torch.where(values.abs() > BAND, (error * -values.sign()).clamp_min(0), error)
+
+
+def pick(n: int, *tensors: Tensor, generator: torch.Generator) -> Batch:
+    """The same n random rows of each tensor."""
+    i = torch.randint(len(tensors[0]), (n,), generator=generator).to(tensors[0].device)
+    return tuple(tensor[i] for tensor in tensors)
+
+
+def surface_of(key: Key) -> Shape:
+    """The surface that a shape is or a field stands for."""
+    return Implicit(key) if isinstance(key, Field) else key
+
+
+def box_around(boxes: Iterable[Box]) -> Box:
+    """The box that a field for surfaces in the given boxes needs."""
+    first, *others = boxes
+    union = first.union(*others)
+    return union.expanded(MARGIN * max(union.size))
+
+
+def _estimated_distance(
+    points: Float[Tensor, "n d"], normals: Float[Tensor, "n d"], *, neighbors: int = 8
+) -> Callable[[Tensor], Tensor]:
+    """The signed distance as far as samples with normals tell it.
+
+    Near the samples it is the mean height over the tangent planes of the nearest ones, farther away the distance to the
+    nearest, with the sign of that height.
+
+    Reference:
+        Kolluri, Provably good moving least squares, ACM Trans. Algorithms 4 (2008).
+    """
+    from scipy.spatial import cKDTree
+
+    p, normal = points.cpu().numpy(), normals.cpu().numpy()
+    tree = cKDTree(p)
+    spacing = float(np.median(tree.query(np.unique(p, axis=0), k=2)[0][:, 1])) if len(p) > 1 else 0.0
+
+    def value(x: Tensor) -> Tensor:
+        query = x.detach().double().cpu().numpy()
+        distance, index = tree.query(query, k=min(neighbors, len(p)))
+        heights = np.einsum("nkd,nkd->nk", query[:, None] - p[index], normal[index])
+        weights = 1 / (distance**2 + 1e-3 * spacing**2 + 1e-300)
+        height = (weights * heights).sum(1) / weights.sum(1)
+        size = np.where(distance[:, 0] > 3 * spacing, distance[:, 0], np.abs(height))
+        return torch.from_numpy(np.sign(height) * size).to(x)
+
+    return value

@@ -1,0 +1,23 @@
+"""Equations of motion, and the velocity fields for `Transport`."""
+
+from levelflow.equations.curvature import MeanCurvature
+from levelflow.equations.eikonal import Eikonal
+from levelflow.equations.equation import Equation, LevelSetEquation
+from levelflow.equations.morph import Morph
+from levelflow.equations.stationary import Stationary
+from levelflow.equations.transport import Constant, Rotation, Source, Transport, Twist, VelocityField
+
+__all__ = [
+    "Constant",
+    "Eikonal",
+    "Equation",
+    "LevelSetEquation",
+    "MeanCurvature",
+    "Morph",
+    "Rotation",
+    "Source",
+    "Stationary",
+    "Transport",
+    "Twist",
+    "VelocityField",
+]

@@ -1,0 +1,111 @@
+"""What an evolution asks of a jet: equations, level-set equations, and their sums."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from functools import reduce
+from operator import add
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from levelflow.curvature import gradient_norm
+from levelflow.jets import Jet
+
+
+class Equation(ABC):
+    """A condition on the jet of a field at every point of space-time.
+
+    Attributes:
+        order: The order of the jets that it needs, 1 or 2.
+    """
+
+    order: ClassVar[int] | int = 1
+
+    @abstractmethod
+    def residual(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Tensor:
+        """What vanishes for a solution, (n,) or, for several equations at once, (n, r)."""
+
+    def error(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Tensor:
+        """The residual in the form that training makes small; the residual itself unless there is a better one."""
+        return self.residual(x, t, jet)
+
+    def carry(
+        self, x: Float[Tensor, "n d"], start: Float[Tensor, " n"], end: Float[Tensor, " n"], *, steps: int = 32
+    ) -> Float[Tensor, "n d"] | None:
+        """Where points of a level set at the times `start` are at the times `end`, if the motion alone decides it.
+
+        None when it depends on the surface as well, as under curvature.
+        """
+        return None
+
+    def __add__(self, other: Equation) -> Equation:
+        return _together(self, other)
+
+
+class LevelSetEquation(Equation):
+    r"""Motion along the normal with a speed: $\partial_t f + v\,|\nabla f| = 0$, $v$ = `speed`.
+
+    A motion of one's own is a subclass with one method, `speed`; `order = 2` says that it needs the Hessian. Sums of
+    level-set equations add their speeds.
+
+    Reference:
+        Osher and Sethian, Fronts propagating with curvature-dependent speed, J. Comput. Phys. 79 (1988).
+    """
+
+    @abstractmethod
+    def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
+        """The speed along the outward normal, in length per unit time."""
+
+    def residual(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
+        return jet.dt[:, 0] + self.speed(x, t, jet) * gradient_norm(jet)
+
+    def error(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
+        """The error of the normal speed, v - (-f_t / |grad f|): unlike the residual, a flatter f does not lower it."""
+        return jet.dt[:, 0] / gradient_norm(jet) + self.speed(x, t, jet)
+
+    def __add__(self, other: Equation) -> Equation:
+        return Motions(self, other) if isinstance(other, LevelSetEquation) else _together(self, other)
+
+
+class Motions(LevelSetEquation):
+    """Several motions at once: their speeds add up."""
+
+    def __init__(self, *motions: LevelSetEquation) -> None:
+        self.motions = motions
+        self.order = max(motion.order for motion in motions)
+
+    def __repr__(self) -> str:
+        return " + ".join(map(repr, self.motions))
+
+    def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
+        return torch.stack([motion.speed(x, t, jet) for motion in self.motions]).sum(0)
+
+
+class Together(Equation):
+    """Several equations that are to hold at once; one column of the residual for each."""
+
+    def __init__(self, *equations: Equation) -> None:
+        self.equations = equations
+        self.order = max(equation.order for equation in equations)
+
+    def __repr__(self) -> str:
+        return " + ".join(map(repr, self.equations))
+
+    def residual(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, "n r"]:
+        return torch.stack([equation.residual(x, t, jet) for equation in self.equations], dim=1)
+
+    def error(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, "n r"]:
+        return torch.stack([equation.error(x, t, jet) for equation in self.equations], dim=1)
+
+
+def _together(*equations: Equation) -> Together:
+    """The equations at once. There is one motion: speeds add up, wherever in the sum the motions stand."""
+    parts = [part for e in equations for part in (e.equations if isinstance(e, Together) else (e,))]
+    motions = [part for part in parts if isinstance(part, LevelSetEquation)]
+    columns: list[Equation] = [part for part in parts if not isinstance(part, LevelSetEquation)]
+    if motions:
+        columns.insert(parts.index(motions[0]), reduce(add, motions))
+    return Together(*columns)

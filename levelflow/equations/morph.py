@@ -1,0 +1,86 @@
+"""Morphing towards given shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from levelflow.curvature import gradient_norm
+from levelflow.equations.equation import LevelSetEquation
+from levelflow.fields import Field
+from levelflow.jets import Jet
+from levelflow.shapes.shape import Solid
+from levelflow.shapes.tabulated import Tabulated
+
+
+class Morph(LevelSetEquation):
+    r"""Morphing towards the level sets of a target g, $\partial_t f = |\nabla f|\,(g - f) / (t_1 - t)$.
+
+    Where f lies inside the target the surface moves out, and where it lies outside, in. Divided by the time that
+    remains, the speed reaches the target exactly at t1: distances of concentric spheres give r(t) linear in time. (The
+    speed g - f of the paper leaves a factor 1/e of the difference after unit time.) The error that training sees is
+    multiplied by the part of the time that remains, so that it stays bounded at the end.
+
+    A distance to a mesh is tabulated on a grid once, because the speed is needed at new points in every step.
+
+    Args:
+        target: The shape or field to arrive at; or several of them by their times, {0.5: bob, 1.0: torus}, each
+            approached after the one before.
+        since: The time of departure, from which the remaining part of the time is counted.
+        until: The time t1 of arrival, for a single target.
+
+    Raises:
+        TypeError: If a target has no distance.
+        ValueError: If a target is to be reached before the departure.
+
+    Reference:
+        Novello et al., Neural Implicit Surface Evolution, ICCV 2023, Sec. 5.3, eqs. 9 and 10.
+    """
+
+    def __init__(
+        self, target: Solid | Field | Mapping[float, Solid | Field], *, since: float = 0.0, until: float = 1.0
+    ) -> None:
+        targets = dict(target) if isinstance(target, Mapping) else {until: target}
+        for shape in targets.values():
+            if not isinstance(shape, Solid | Field):
+                raise TypeError(
+                    f"Morph: a target of type {type(shape).__name__} has no distance; fit a field to it and give that."
+                )
+        if min(targets) <= since:
+            raise ValueError(f"Morph: a target at t = {min(targets):g} is not after the departure at t = {since:g}.")
+        self.since, self.targets = since, dict(sorted(targets.items()))
+        self._values = [_value(shape) for shape in self.targets.values()]
+
+    def __repr__(self) -> str:
+        return f"Morph(towards {len(self.targets)} target(s) at t = {', '.join(f'{t:g}' for t in self.targets)})"
+
+    def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
+        gap, remaining, _ = self._approach(x, t, jet)
+        return -gap / remaining.clamp_min(1e-6)
+
+    def error(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
+        gap, remaining, interval = self._approach(x, t, jet)
+        return (jet.dt[:, 0] / gradient_norm(jet) * remaining - gap) / interval
+
+    def _approach(self, x: Tensor, t: Tensor, jet: Jet) -> tuple[Tensor, Tensor, Tensor]:
+        """g - f, the time that remains, and the length of the interval, for the next target of each point."""
+        arrivals = t.new_tensor(list(self.targets))
+        which = torch.searchsorted(arrivals, t[:, 0].contiguous()).clamp_max(len(arrivals) - 1)
+        gap = torch.zeros_like(jet.value)
+        for i, value in enumerate(self._values):
+            mine = which == i
+            if mine.any():
+                with torch.no_grad():
+                    goal = value(x[mine]).to(jet.value)
+                gap[mine] = goal - jet.value[mine]
+        starts = torch.cat([arrivals.new_tensor([self.since]), arrivals[:-1]])
+        return gap, arrivals[which] - t[:, 0], (arrivals - starts)[which]
+
+
+def _value(shape: Solid | Field) -> Callable[[Tensor], Tensor]:
+    if isinstance(shape, Field):
+        return shape
+    return (Tabulated(shape) if shape.is_costly else shape).distance

@@ -1,0 +1,1 @@
+"""What a field leaves behind: meshes, pictures, reports."""

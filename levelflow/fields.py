@@ -1,0 +1,257 @@
+"""Maps and fields: anything through which a jet can be pushed, and the fields made from other fields."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from levelflow.boxes import Box
+from levelflow.jets import Jet, identity
+
+
+class Map(nn.Module, ABC):
+    """A smooth map from R^d x R^k to R^m.
+
+    Attributes:
+        space: The number d of space coordinates.
+        times: The number k of times or parameters; 0 for a map of space alone.
+    """
+
+    space: int
+    times: int
+
+    @abstractmethod
+    def push(self, jet: Jet) -> Jet:
+        """The jet of this map after the one whose jet is given: value (n, d + k) in, value (n, m) out."""
+
+    def forward(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"] | None = None) -> Tensor:
+        """The values of the map, (n, m)."""
+        return self.push(identity(*self._inputs(x, t), order=0)).value
+
+    def _inputs(self, x: Tensor, t: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Points and times with the shapes of the convention, or an error that says which shape is wrong."""
+        name = type(self).__name__
+        if x.ndim != 2 or x.shape[1] != self.space:
+            raise ValueError(f"{name}: points have shape {tuple(x.shape)}; give (n, {self.space}).")
+        if t is None:
+            if self.times:
+                raise ValueError(
+                    f"{name}: this field depends on {self.times} time(s) or parameter(s); "
+                    f"give t with shape ({len(x)}, {self.times}), or take a slice with .at(t)."
+                )
+            t = x.new_zeros(len(x), 0)
+        if t.shape != (len(x), self.times):
+            raise ValueError(f"{name}: times have shape {tuple(t.shape)}; give ({len(x)}, {self.times}).")
+        return x, t
+
+
+class Field(Map):
+    """A scalar map f: R^d x R^k -> R, negative inside the surface f = 0. Values are (n,).
+
+    Attributes:
+        box: Where the field stands for a surface, in the units of its points; None if it is not known.
+    """
+
+    box: Box | None = None
+
+    def jet(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"] | None = None, *, order: int = 1) -> Jet:
+        """Value, first derivatives (order 1) and space Hessian (order 2) at n points, differentiable.
+
+        Args:
+            x: Points (n, d).
+            t: Times or parameters (n, k); may be left out when k = 0.
+            order: 0, 1 or 2.
+
+        Raises:
+            ValueError: If a shape or the order does not fit.
+        """
+        return self.push(identity(*self._inputs(x, t), order=order))
+
+    def at(self, *t: float) -> Field:
+        """The field of space alone at the given time or parameters.
+
+        Raises:
+            ValueError: If the number of values is not k, or a value lies outside the interval of the field.
+        """
+        self._check_times(t)
+        return Slice(self, t)
+
+    def _check_times(self, t: Sequence[float]) -> None:
+        if len(t) != self.times:
+            raise ValueError(f"at{tuple(t)}: this field depends on {self.times} time(s) or parameter(s).")
+        if self.box is not None and self.box.times:
+            for value, (first, last) in zip(t, self.box.times, strict=True):
+                slack = 1e-9 * max(abs(first), abs(last), last - first)
+                if not first - slack <= value <= last + slack:
+                    raise ValueError(
+                        f"at({value:g}): the field was solved for times from {first:g} to {last:g}; "
+                        "ask for a time in that interval, or solve for a longer one."
+                    )
+
+
+class Slice(Field):
+    """The field x -> f(x, t) at fixed t."""
+
+    def __init__(self, field: Field, t: Sequence[float]) -> None:
+        super().__init__()
+        self.field = field
+        self.t = tuple(float(value) for value in t)
+        self.space, self.times = field.space, 0
+        self.box = None if field.box is None else field.box.during()
+
+    def push(self, jet: Jet) -> Jet:
+        fixed = jet.value.new_tensor(self.t).expand(len(jet.value), -1)
+        return self.field.push(
+            Jet(
+                torch.cat([jet.value, fixed], dim=1),
+                None if jet.first is None else _padded(jet.first, len(self.t)),
+                None if jet.second is None else _padded(jet.second, len(self.t)),
+                jet.space,
+            )
+        )
+
+
+class Deformed(Field):
+    """The field f o D, for a map D of space: its zero set is the preimage of the zero set of f."""
+
+    def __init__(self, field: Field, deformation: Map) -> None:
+        super().__init__()
+        if field.space + field.times != field.space or deformation.space != field.space:
+            raise ValueError(
+                f"Deformed: a field on R^{field.space} with {field.times} times cannot follow a map on "
+                f"R^{deformation.space}; give a static field and a map of the same space."
+            )
+        self.field, self.deformation = field, deformation
+        self.space, self.times = deformation.space, deformation.times
+        self.box = field.box
+
+    def push(self, jet: Jet) -> Jet:
+        return self.field.push(self.deformation.push(jet))
+
+
+class Sum(Field):
+    """The field f + g."""
+
+    def __init__(self, *fields: Field) -> None:
+        super().__init__()
+        kinds = {(f.space, f.times) for f in fields}
+        if len(kinds) != 1:
+            raise ValueError(f"Sum: the fields have different (space, times): {sorted(kinds)}; give fields of one kind.")
+        self.fields = nn.ModuleList(fields)
+        self.space, self.times = fields[0].space, fields[0].times
+        self.box = fields[0].box
+
+    def push(self, jet: Jet) -> Jet:
+        first, *rest = (field.push(jet) for field in self.fields)  # type: ignore[operator]
+        for other in rest:
+            first = first + other
+        return first
+
+
+class Placed(Field):
+    r"""A field on the normalised box, in the units of a file: $f(x, t) = s\, g((x - c)/s, \tau(t))$.
+
+    The box gives the centre c, the scale s (half its longest side) and the map $\tau$ that takes each time interval to
+    [-1, 1]. A distance stays a distance. Points are normalised in float64, so that large coordinates lose nothing;
+    values have the dtype of g.
+
+    Attributes:
+        provenance: Where the field comes from, for reports and files: plain values under string keys.
+    """
+
+    def __init__(self, field: Field, box: Box) -> None:
+        super().__init__()
+        if (field.space, field.times) != (box.space, len(box.times)):
+            raise ValueError(
+                f"Placed: the field has {field.space} space and {field.times} time coordinates, "
+                f"the box {box.space} and {len(box.times)}; they must agree."
+            )
+        self.field = field
+        self.box: Box = box
+        self.space, self.times = field.space, field.times
+        self.provenance: dict[str, Any] = {}
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """The dtype of the parameters of the field inside, in which values are computed."""
+        return next(self.field.parameters()).dtype
+
+    @property
+    def device(self) -> torch.device:
+        """The device of the parameters."""
+        return next(self.field.parameters()).device
+
+    def push(self, jet: Jet) -> Jet:
+        d, slopes, like = self.space, jet.value.new_tensor(self._slopes), next(self.field.parameters())
+        u, tau = self.box.frame.to_unit(jet.value[:, :d]), self.unit_times(jet.value[:, d:])
+        inner = Jet(
+            torch.cat([u, tau], dim=1).to(like),
+            None if jet.first is None else (jet.first * slopes).to(like),
+            None if jet.second is None else (jet.second * slopes).to(like),
+            jet.space,
+        )
+        outer, scale = self.field.push(inner), self.box.frame.scale
+        return Jet(
+            outer.value * scale,
+            None if outer.first is None else outer.first * scale,
+            None if outer.second is None else outer.second * scale,
+            jet.space,
+        )
+
+    def forward(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"] | None = None) -> Tensor:
+        return self.box.frame.scale * self.field(*self._unit_inputs(*self._inputs(x, t)))
+
+    def jet(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"] | None = None, *, order: int = 1) -> Jet:
+        return self.in_units(self.field.jet(*self._unit_inputs(*self._inputs(x, t)), order=order))
+
+    def in_units(self, jet: Jet) -> Jet:
+        """The jet of this field, given that of the field inside at the normalised points and times."""
+        scale = self.box.frame.scale
+        slopes = jet.value.new_tensor(self._slopes)
+        return Jet(
+            jet.value * scale,
+            None if jet.first is None else jet.first * (scale * slopes),
+            None if jet.second is None else jet.second / scale,
+            jet.space,
+        )
+
+    def at(self, *t: float) -> Placed:
+        self._check_times(t)
+        unit = self.unit_times(torch.tensor([t], dtype=torch.float64))[0]
+        return Placed(self.field.at(*unit.tolist()), self.box.during())
+
+    def unit_times(self, t: Float[Tensor, "n k"]) -> Float[Tensor, "n k"]:
+        """Times in [-1, 1], as the field inside takes them."""
+        middle = t.new_tensor([(a + b) / 2 for a, b in self.box.times])
+        return (t - middle) * t.new_tensor(self._slopes[self.space :])
+
+    def times_in_units(self, t: Float[Tensor, "n k"]) -> Float[Tensor, "n k"]:
+        """The inverse of `unit_times`."""
+        middle = t.new_tensor([(a + b) / 2 for a, b in self.box.times])
+        return middle + t / t.new_tensor(self._slopes[self.space :])
+
+    @property
+    def _slopes(self) -> list[float]:
+        """The derivatives of the normalised coordinates, space then times, in the coordinates of the file."""
+        return [1 / self.box.frame.scale] * self.space + [_time_slope(a, b) for a, b in self.box.times]
+
+    def _unit_inputs(self, x: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
+        return (
+            self.box.frame.to_unit(x.double()).to(self.device, self.dtype),
+            self.unit_times(t.double()).to(self.device, self.dtype),
+        )
+
+
+def _time_slope(first: float, last: float) -> float:
+    """The derivative of the map that takes [first, last] to [-1, 1]; an interval of one instant is left as it is."""
+    return 2 / (last - first) if last > first else 1.0
+
+
+def _padded(planes: Tensor, k: int) -> Tensor:
+    """Derivative planes of (x,) as planes of (x, t) for k constants t."""
+    return torch.cat([planes, planes.new_zeros(*planes.shape[:-1], k)], dim=-1)

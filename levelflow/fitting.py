@@ -1,0 +1,76 @@
+"""Fitting a field to a shape."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping
+
+import torch
+from torch import Tensor
+
+from levelflow.boxes import Box
+from levelflow.conditions import Given, OffSurface, OnSurface, Sampling, box_around
+from levelflow.fields import Placed
+from levelflow.measures import surface_distance
+from levelflow.minimising import Budget, Divergence, Progress, minimise
+from levelflow.networks.siren import SIREN
+from levelflow.shapes.implicit import Implicit
+from levelflow.shapes.shape import Shape
+
+
+def fit(
+    network: SIREN,
+    shape: Shape,
+    *,
+    box: Box | None = None,
+    budget: Budget = Budget(steps=1500),  # noqa: B008
+    sampling: Sampling = Sampling(),  # noqa: B008
+    seed: int = 0,
+    on_step: Callable[[Progress], None] | None = None,
+    state: Mapping[str, Tensor] | None = None,
+) -> Placed:
+    r"""Fits a field to the signed distance of a shape.
+
+    The loss is $f^2 + w |\nabla f - n|^2$ on the surface and $(f - d)^2$ off it, with exact distances within a quarter
+    of the half box and a bound beyond. A point cloud has no exact distance; it is estimated from the cloud.
+
+    Args:
+        network: A static network of the space of the shape; it is not changed.
+        shape: What to fit.
+        box: Where the field is to be valid, in the units of the shape; the box of the shape and a margin if left out.
+        budget: Steps, or seconds, of training.
+        sampling: How many samples a step draws.
+        seed: Of every random choice.
+        on_step: Called with the progress after each step.
+        state: Where an interrupted fit goes on from (`Progress.state`).
+
+    Returns:
+        The field in the units of the shape. `provenance["accuracy"]` says how far its surface is from the shape, in
+        those units.
+
+    Raises:
+        ValueError: If the network depends on time, or its space is not that of the shape.
+        Divergence: If training fails; its `field` is the last good one.
+    """
+    if network.times:
+        raise ValueError(f"fit: the network depends on {network.times} time(s); give SIREN(time=0), or call solve.")
+    box = box or box_around([shape.box])
+    field = Placed(copy.deepcopy(network), box)
+    generator = torch.Generator().manual_seed(seed)
+    like = next(field.parameters())
+    given = Given.of(shape, box, n=sampling.given, generator=generator, like=like)
+    _, on, off = sampling.counts()
+    on, off = round(sampling.n * on / (on + off)), round(sampling.n * off / (on + off))
+    terms = [OnSurface(field.field, given, (), n=on), OffSurface(field.field, given, (), n=off)]
+    try:
+        progress = minimise(
+            field.parameters(), terms, budget=budget, generator=generator, on_step=on_step, state=state
+        )
+    except Divergence as error:
+        error.field = field
+        raise
+    field.provenance = {"verb": "fit", "seed": seed, "steps": progress.step}
+    field.provenance["accuracy"] = surface_distance(
+        shape, Implicit(field), n=10_000, generator=torch.Generator().manual_seed(seed)
+    ).summary()
+    return field

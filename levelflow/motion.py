@@ -1,0 +1,206 @@
+"""What an equation asks of a field in space-time, as terms of a loss: on moving samples, and along characteristics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from levelflow.conditions import Given, band_error, pick
+from levelflow.curvature import gradient_norm
+from levelflow.equations.equation import Equation
+from levelflow.fields import Placed
+from levelflow.minimising import Batch
+
+
+class Motion:
+    """The equation, near the moving surface and, for a fifth of the samples, anywhere in the box.
+
+    Points near the surface are walkers in space-time. Every few steps each makes one Newton step towards the zero set
+    of the field as it then is, and a tenth of them start afresh; a sample is a walker plus noise. The error of the
+    equation is brought to normalised units, so that it reads as a displacement over half the time interval. Beyond a
+    tenth its square grows only like a logarithm: on the medial axis curvature is singular, and no network is to
+    follow it there.
+    """
+
+    name = "motion"
+    weight = 1.0
+    noise, every, turnover, knee, near = 0.03, 10, 0.1, 0.1, 0.8
+
+    def __init__(self, placed: Placed, equation: Equation, *, n: int, since: float = 0.0) -> None:
+        self.placed, self.equation, self.n, self.since = placed, equation, n, since
+        like = next(placed.parameters())
+        self.memory = {"walkers": like.new_zeros(8 * n, placed.space + placed.times), "age": torch.zeros(1)}
+
+    def sample(self, generator: torch.Generator) -> Batch:
+        if self.memory["age"] % self.every == 0:
+            self._walk(generator)
+        self.memory["age"] += 1
+        near, d = max(1, round(self.near * self.n)), self.placed.space
+        (z,) = pick(near, self.memory["walkers"], generator=generator)
+        noise = self.noise * torch.randn(near, d, generator=generator, dtype=z.dtype)
+        z = torch.cat([z[:, :d] + noise.to(z.device), z[:, d:]], dim=1)
+        return (torch.cat([z, self._anywhere(self.n - near, generator)]),)
+
+    def loss(self, *batch: Tensor) -> Tensor:
+        (z,) = batch
+        placed, d = self.placed, self.placed.space
+        u, tau = z[:, :d], z[:, d:]
+        jet = placed.in_units(placed.field.jet(u, tau, order=self.equation.order))
+        error = self.equation.error(placed.box.frame.from_unit(u), placed.times_in_units(tau), jet)
+        first, last = placed.box.times[0]
+        displacement = error.reshape(len(z), -1) * ((last - first) / 2 / placed.box.frame.scale)
+        loss = self.knee**2 * torch.log1p((displacement / self.knee) ** 2).sum(1)
+        return torch.where(gradient_norm(jet) > 0.05, loss, 0.0)
+
+    @torch.no_grad()
+    def _walk(self, generator: torch.Generator) -> None:
+        walkers, d, steps = self.memory["walkers"], self.placed.space, 1
+        if self.memory["age"] == 0:
+            walkers, steps = self._anywhere(len(walkers), generator), 4
+        for _ in range(steps):
+            walkers = torch.cat([self._newton(z) for z in walkers.split(4096)])
+        away = (walkers[:, :d].abs() > self._sides(walkers)).any(1).cpu()
+        away |= torch.rand(len(walkers), generator=generator) < self.turnover
+        afresh = self._anywhere(len(walkers), generator)
+        self.memory["walkers"] = torch.where(away[:, None].to(walkers.device), afresh, walkers)
+
+    def _newton(self, z: Tensor) -> Tensor:
+        """One step of at most 0.3 towards the zero set, at fixed time."""
+        d = self.placed.space
+        jet = self.placed.field.jet(z[:, :d], z[:, d:], order=1)
+        step = (jet.value / (gradient_norm(jet) ** 2).clamp_min(1e-4))[:, None] * jet.gradient
+        step = step * (0.3 / torch.linalg.vector_norm(step, dim=1, keepdim=True).clamp_min(0.3))
+        return torch.cat([z[:, :d] - step, z[:, d:]], dim=1)
+
+    def _anywhere(self, n: int, generator: torch.Generator) -> Tensor:
+        like = self.memory["walkers"]
+        z = 2 * torch.rand(n, like.shape[1], generator=generator, dtype=like.dtype) - 1
+        z[:, : self.placed.space] *= self._sides(z)
+        return z.to(like.device)
+
+    def _sides(self, like: Tensor) -> Tensor:
+        """Half the side lengths of the box in normalised units: at most 1."""
+        return like.new_tensor(self.placed.box.size) / (2 * self.placed.box.frame.scale)
+
+
+class Carried:
+    """The values of the given shape, carried along the characteristics of a motion by a velocity field.
+
+    Three quarters of the samples start near the given surface and are carried to a random time. The others are drawn
+    anywhere in the box at a random time and carried back, so that what the motion leaves behind is known as well.
+    """
+
+    name = "carried"
+    weight = 1.0
+    legs = 16
+
+    def __init__(
+        self, placed: Placed, equation: Equation, given: Given, time: float, *, n: int, generator: torch.Generator
+    ) -> None:
+        self.placed, self.equation, self.n = placed, equation, n
+        ((first, last),) = placed.box.times
+        self.nodes = torch.linspace(first, last, self.legs + 1, dtype=torch.float64)
+        self.paths = self._paths(placed.box.frame.from_unit(given.near.double().cpu()), time)
+        self.values = given.near_values
+        self.far = placed.box.uniform(len(given.far), generator=generator)
+        self.far_times = placed.box.uniform_times(len(given.far), generator=generator)
+        origins = equation.carry(self.far, self.far_times[:, 0], torch.full_like(self.far_times[:, 0], time))
+        assert origins is not None
+        with torch.no_grad():
+            self.far_values = given.value(origins).to(self.values) / placed.box.frame.scale
+
+    @staticmethod
+    def is_known(equation: Equation, space: int) -> bool:
+        """Whether the motion has characteristics that do not depend on the surface."""
+        origin, now = torch.zeros(1, space, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
+        return equation.carry(origin, now, now) is not None
+
+    def sample(self, generator: torch.Generator) -> Batch:
+        near = 3 * self.n // 4
+        i = torch.randint(len(self.values), (near,), generator=generator)
+        t = self.placed.box.uniform_times(near, generator=generator)
+        first, last = float(self.nodes[0]), float(self.nodes[-1])
+        k = ((t[:, 0] - first) / (last - first) * self.legs).round().long()
+        x = self._carry(self.paths[k, i], self.nodes[k], t[:, 0], steps=1)
+        far, far_times, far_values = pick(
+            self.n - near, self.far, self.far_times, self.far_values.cpu(), generator=generator
+        )
+        like = self.values
+        u = self.placed.box.frame.to_unit(torch.cat([x, far]))
+        tau = self.placed.unit_times(torch.cat([t, far_times]))
+        return u.to(like), tau.to(like), torch.cat([like[i.to(like.device)], far_values.to(like)])
+
+    def loss(self, *batch: Tensor) -> Tensor:
+        u, tau, values = batch
+        return band_error(self.placed.field(u, tau), values) ** 2
+
+    def _paths(self, x: Tensor, time: float) -> Tensor:
+        """Where the points are at each node, (nodes, n, d)."""
+        paths = x.new_empty(len(self.nodes), *x.shape)
+        later = int((self.nodes < time).sum())
+        for leg in (range(later, len(self.nodes)), range(later - 1, -1, -1)):
+            y, now = x, time
+            for k in leg:
+                then = float(self.nodes[k])
+                y = self._carry(y, x.new_full((len(x),), now), x.new_full((len(x),), then), steps=2)
+                paths[k], now = y, then
+        return paths
+
+    def _carry(self, x: Tensor, start: Tensor, end: Tensor, *, steps: int) -> Tensor:
+        carried = self.equation.carry(x, start, end, steps=steps)
+        assert carried is not None
+        return carried
+
+
+class Blend:
+    """Values at every time between those of the given shapes, linear in time: where training starts from.
+
+    A single shape stands still, which is the initialisation of the paper; two give the plain morph of their distances.
+    It needs no derivatives, and so is several times cheaper than the equation.
+
+    Reference:
+        Novello et al., Neural Implicit Surface Evolution, ICCV 2023, Sec. 4.4.
+    """
+
+    name = "blend"
+    weight = 1.0
+
+    def __init__(
+        self, placed: Placed, given: Sequence[Given], times: Sequence[float], *, n: int, until: float = 1.0
+    ) -> None:
+        self.placed, self.n, self.until = placed, n, until
+        scale, frame = placed.box.frame.scale, placed.box.frame
+        self.points = torch.cat([part for g in given for part in (g.near, g.far)])
+        own = [torch.cat([g.near_values, g.far_values]) for g in given]
+        columns = []
+        for i, g in enumerate(given):
+            parts = []
+            for j, other in enumerate(given):
+                if i == j:
+                    parts.append(own[j])
+                else:
+                    with torch.no_grad():
+                        x = frame.from_unit(torch.cat([other.near, other.far]).double())
+                        parts.append(g.value(x).to(own[j]) / scale)
+            columns.append(torch.cat(parts))
+        order = sorted(range(len(times)), key=lambda i: times[i])
+        self.values = torch.stack([columns[i] for i in order], dim=1)
+        self.times = torch.tensor([times[i] for i in order], dtype=torch.float64)
+
+    def sample(self, generator: torch.Generator) -> Batch:
+        x, values = pick(self.n, self.points, self.values, generator=generator)
+        t = self.placed.box.uniform_times(self.n, generator=generator)
+        now = t[:, 0].clamp(self.times[0], self.times[-1])
+        after = torch.searchsorted(self.times, now).clamp(min(1, len(self.times) - 1))
+        before = (after - 1).clamp_min(0)
+        length = (self.times[after] - self.times[before]).clamp_min(1e-300)
+        part = ((now - self.times[before]) / length).clamp(0, 1).to(values)
+        rows = torch.arange(self.n, device=values.device)
+        value = (1 - part) * values[rows, before.to(x.device)] + part * values[rows, after.to(x.device)]
+        return x, self.placed.unit_times(t).to(x), value
+
+    def loss(self, *batch: Tensor) -> Tensor:
+        u, tau, values = batch
+        return band_error(self.placed.field(u, tau), values) ** 2

@@ -1,0 +1,108 @@
+"""Sinusoidal networks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from levelflow.fields import Field
+from levelflow.jets import Jet, chain_jet
+
+
+class SIREN(Field):
+    r"""A sinusoidal network $f(x, t) = w \cdot h_L + b$, $h_l = \sin(\omega (W_l h_{l-1} + b_l))$, $h_0 = (x, t)$.
+
+    It is made for points in [-1, 1]^d and times in [-1, 1]; `fit` and `solve` place it in the units of a shape.
+
+    Args:
+        space: The number d of space coordinates.
+        time: The number k of times or parameters.
+        width: Neurons of a hidden layer.
+        depth: Hidden layers.
+        omega: The frequency. Weights start at U(-1/n, 1/n) in the first layer and U(-s, s), s = sqrt(6/n) / omega,
+            in the others, for n inputs of the layer. The papers take 30 with Adam; with our optimiser 10 learns motion
+            better and detail as well.
+        time_scale: By how much smaller the weights of the times start: evolutions are smoother in time than in space.
+        generator: Source of the initial weights; a new one with seed 0 if left out.
+        dtype: Of the weights.
+
+    Raises:
+        ValueError: If a size or the frequency is not positive.
+
+    Reference:
+        Sitzmann et al., Implicit Neural Representations with Periodic Activation Functions, NeurIPS 2020, Sec. 3.2;
+        Novello et al., Neural Implicit Surface Evolution, ICCV 2023, Sec. 4.3.
+    """
+
+    def __init__(
+        self,
+        space: int = 3,
+        time: int = 0,
+        *,
+        width: int = 128,
+        depth: int = 3,
+        omega: float = 10.0,
+        time_scale: float = 0.1,
+        generator: torch.Generator | None = None,
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        super().__init__()
+        if min(space, width, depth) < 1 or time < 0 or not omega > 0:
+            raise ValueError(
+                f"SIREN(space={space}, time={time}, width={width}, depth={depth}, omega={omega}): "
+                "space, width, depth and omega must be positive, and time at least 0."
+            )
+        generator = generator or torch.Generator().manual_seed(0)
+        self.space, self.times = space, time
+        self.width, self.depth, self.omega = width, depth, float(omega)
+        sizes = [space + time] + [width] * depth
+        self.hidden = nn.ModuleList(nn.Linear(a, b, dtype=dtype) for a, b in zip(sizes, sizes[1:], strict=False))
+        self.last = nn.Linear(width, 1, dtype=dtype)
+        with torch.no_grad():
+            for i, layer in enumerate([*self.hidden, self.last]):
+                n = layer.in_features
+                bound = 1 / n if i == 0 else math.sqrt(6 / n) / omega
+                layer.weight.uniform_(-bound, bound, generator=generator)
+                if i == 0:
+                    layer.weight[:, space:] *= time_scale
+                layer.bias.uniform_(-1 / math.sqrt(n), 1 / math.sqrt(n), generator=generator)
+
+    def push(self, jet: Jet) -> Jet:
+        for weight, bias in self._hidden():
+            jet = jet.affine(weight, bias).pointwise(sine)
+        return jet.affine(self.last.weight, self.last.bias).component(0)
+
+    def jet(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"] | None = None, *, order: int = 1) -> Jet:
+        return chain_jet(*self._inputs(x, t), self._hidden(), (self.last.weight, self.last.bias), sine, order=order)
+
+    def forward(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"] | None = None) -> Tensor:
+        return self.jet(x, t, order=0).value
+
+    def at(self, *t: float) -> SIREN:
+        """The network of space alone at the given time: the time columns move into the first bias.
+
+        Reference:
+            Novello et al., Neural Implicit Surface Evolution, supplement, Sec. 3.
+        """
+        self._check_times(t)
+        sliced = SIREN(self.space, width=self.width, depth=self.depth, omega=self.omega, dtype=self.last.weight.dtype)
+        state = {name: value.detach().clone() for name, value in self.state_dict().items()}
+        weight = state["hidden.0.weight"]
+        state["hidden.0.weight"] = weight[:, : self.space].clone()
+        state["hidden.0.bias"] += weight[:, self.space :] @ weight.new_tensor(t)
+        sliced.load_state_dict(state)
+        return sliced.to(weight.device)
+
+    def _hidden(self) -> Sequence[tuple[Tensor, Tensor]]:
+        """Weights and biases of the hidden layers with the frequency folded in."""
+        return [(self.omega * layer.weight, self.omega * layer.bias) for layer in self.hidden]  # type: ignore[operator]
+
+
+def sine(u: Tensor, order: int) -> tuple[Tensor, ...]:
+    """sin u and its first `order` derivatives."""
+    s = torch.sin(u)
+    return (s, torch.cos(u), -s)[: order + 1] if order else (s,)

@@ -1,0 +1,150 @@
+"""Fields and checkpoints in files that hold numbers and a description, and never code."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from levelflow._version import __version__
+from levelflow.boxes import Box
+from levelflow.fields import Placed
+from levelflow.networks.siren import SIREN
+from levelflow.shapes.writing import replace_file
+
+FORMAT = 1
+_KEY = "levelflow"
+
+
+def save(field: Placed, path: str | Path) -> None:
+    """Writes a field to a safetensors file whose header rebuilds it: architecture, box, times and provenance.
+
+    The file appears whole or not at all. The same field gives the same bytes.
+
+    Raises:
+        TypeError: If the field is not one that `fit` or `solve` returns.
+        OSError: If the file cannot be written.
+    """
+    network = field.field if isinstance(field, Placed) else None
+    if not isinstance(network, SIREN):
+        raise TypeError(
+            f"save: cannot write a {type(field).__name__}; fields from fit and solve, and their slices, can be saved."
+        )
+    header = {
+        "kind": "field",
+        "network": {
+            "type": "SIREN",
+            "space": network.space,
+            "time": network.times,
+            "width": network.width,
+            "depth": network.depth,
+            "omega": network.omega,
+        },
+        "box": {"lower": field.box.lower, "upper": field.box.upper, "times": field.box.times},
+        "provenance": field.provenance,
+    }
+    _write(path, {name: value.detach().cpu() for name, value in network.state_dict().items()}, header)
+
+
+def load(path: str | Path) -> Placed:
+    """Reads a field written by `save`. Nothing in the file is executed.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is cut off, from another program, a checkpoint, or from a newer levelflow.
+    """
+    path = Path(path)
+    tensors, header = _read(path, kind="field")
+    try:
+        shape, box = header["network"], header["box"]
+        if shape["type"] != "SIREN":
+            raise ValueError(f"its network is a {shape['type']!r}, which this version does not know")
+        network = SIREN(
+            shape["space"], shape["time"], width=shape["width"], depth=shape["depth"], omega=shape["omega"],
+            dtype=tensors["last.weight"].dtype,
+        )  # fmt: skip
+        network.load_state_dict(tensors)
+        field = Placed(network, Box(box["lower"], box["upper"], box["times"]))
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"load: the header of {path.name!r} does not describe its content: {error}.") from None
+    field.provenance = dict(header.get("provenance", {}))
+    return field
+
+
+def save_checkpoint(path: str | Path, state: Mapping[str, Tensor], settings: Mapping[str, Any]) -> None:
+    """Writes the state of a run (`Progress.state`) with its settings, whole or not at all."""
+    tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
+    _write(path, tensors, {"kind": "checkpoint", "settings": dict(settings)})
+
+
+def load_checkpoint(path: str | Path, settings: Mapping[str, Any]) -> dict[str, Tensor]:
+    """Reads the state of a run that had the given settings.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not a checkpoint, or the settings differ; the message says which.
+    """
+    path = Path(path)
+    tensors, header = _read(path, kind="checkpoint")
+    asked = json.loads(json.dumps(dict(settings)))
+    made = header.get("settings", {})
+    changed = sorted(name for name in {*asked, *made} if asked.get(name) != made.get(name))
+    if changed:
+        differences = "; ".join(f"{name} was {made.get(name)!r} and is {asked.get(name)!r}" for name in changed)
+        raise ValueError(
+            f"{path}: the interrupted run had other settings ({differences}). Repeat its command with --resume, "
+            "or start afresh without it."
+        )
+    return tensors
+
+
+def describe(path: str | Path) -> dict[str, Any]:
+    """The header of a field or a checkpoint, as plain values.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not a file of this library.
+    """
+    return _read(Path(path), kind=None)[1]
+
+
+def _write(path: str | Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
+    from safetensors.torch import save as to_bytes
+
+    text = json.dumps({"format": FORMAT, "version": __version__, **header}, sort_keys=True)
+    replace_file(Path(path), to_bytes(dict(tensors), metadata={_KEY: text}))
+
+
+def _read(path: Path, *, kind: str | None) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    from safetensors import SafetensorError, safe_open
+
+    if not path.exists():
+        raise FileNotFoundError(f"load: there is no file {str(path)!r} (looked in {Path.cwd()}).")
+    if path.is_dir():
+        raise ValueError(f"load: {str(path)!r} is a folder; give the field in it, such as {str(path / 'field.safetensors')!r}.")
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise ValueError(
+            f"load: {path.name!r} ({path.stat().st_size} bytes) is not a field; it is cut off or of another kind ({error})."
+        ) from None
+    try:
+        header = json.loads(metadata[_KEY])
+    except (KeyError, json.JSONDecodeError):
+        raise ValueError(
+            f"load: {path.name!r} is a safetensors file of another program; it has no levelflow header."
+        ) from None
+    if header.get("format", 0) > FORMAT:
+        raise ValueError(
+            f"load: {path.name!r} was written by levelflow {header.get('version')}, which is newer than {__version__}; "
+            "update levelflow."
+        )
+    if kind is not None and header.get("kind") != kind:
+        raise ValueError(f"load: {path.name!r} holds a {header.get('kind')}, not a {kind}.")
+    return tensors, header

@@ -1,0 +1,83 @@
+"""The zero set of a field as a shape."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from levelflow.boxes import Box
+from levelflow.curvature import gradient_norm, normal
+from levelflow.fields import Field
+from levelflow.shapes.shape import Samples, Shape
+
+
+class Implicit(Shape):
+    """The zero set of a static field, sampled by projection.
+
+    Args:
+        field: A field with k = 0.
+        box: Where to look for its surface; the box of the field if left out.
+
+    Raises:
+        ValueError: If the field depends on time, or no box is known.
+    """
+
+    def __init__(self, field: Field, *, box: Box | None = None) -> None:
+        if field.times:
+            raise ValueError(f"Implicit: the field depends on {field.times} time(s); give a slice, Implicit(f.at(t)).")
+        box = box or field.box
+        if box is None:
+            raise ValueError("Implicit: the field has no box; say where its surface is with Implicit(field, box=...).")
+        self.field = field
+        self._search = box
+
+    @property
+    def box(self) -> Box:
+        """A box around samples of the surface, grown by a hundredth of its size."""
+        points = self.sample(4096, generator=torch.Generator().manual_seed(0)).points
+        around = Box.around(points)
+        return around.expanded(0.01 * max(around.size))
+
+    def sample(self, n: int, *, generator: torch.Generator) -> Samples:
+        """n points of the surface by Newton steps from uniform points of the box.
+
+        Uniform points are kept with a chance that falls with |f| / |grad f|, so that the samples come from a thin band
+        around the surface and their density is nearly uniform by area.
+
+        Raises:
+            ValueError: If the field has no zero in the box.
+        """
+        box = self._search
+        thickness = max(box.size) * 0.05
+        found: list[Samples] = []
+        for _ in range(64):
+            x = box.uniform(8 * n, generator=generator)
+            x = x[self.gap(x) < thickness]
+            x, normals = self._project(x)
+            found.append(Samples(x, normals))
+            if sum(len(s.points) for s in found) >= n:
+                return Samples(
+                    torch.cat([s.points for s in found])[:n].cpu(), torch.cat([s.normals for s in found])[:n].cpu()
+                )
+        raise ValueError(
+            f"Implicit.sample: the field has (almost) no zero in the box {box.lower} to {box.upper}; "
+            "its surface has vanished or lies outside."
+        )
+
+    @torch.no_grad()
+    def gap(self, x: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+        """|f| / |grad f|, the distance of points to the surface to first order; in pieces, for the sake of memory."""
+        jets = [self.field.jet(part, order=1) for part in x.split(1 << 15)]
+        return torch.cat([jet.value.abs() / gradient_norm(jet) for jet in jets]).to(x)
+
+    @torch.no_grad()
+    def _project(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Points moved to the surface by four Newton steps, and the normals; points that do not arrive are dropped."""
+        for _ in range(4):
+            jet = self.field.jet(x, order=1)
+            step = (jet.value / gradient_norm(jet) ** 2)[:, None] * jet.gradient
+            x = x - step.to(x)
+        jet = self.field.jet(x, order=1)
+        arrived = (jet.value.abs() / gradient_norm(jet) < 1e-4 * max(self._search.size)) & self._search.contains(x)
+        return x[arrived], normal(jet)[arrived].to(x)

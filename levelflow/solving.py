@@ -1,0 +1,169 @@
+"""Solving an equation in space-time."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Mapping
+
+import torch
+from torch import Tensor
+
+from levelflow.boxes import Box
+from levelflow.conditions import Given, Key, OffSurface, OnSurface, Sampling, box_around, surface_of
+from levelflow.equations.equation import Equation
+from levelflow.fields import Field, Placed
+from levelflow.measures import surface_distance
+from levelflow.minimising import Budget, Divergence, Progress, Term, minimise
+from levelflow.motion import Blend, Carried, Motion
+from levelflow.networks.lifting import lift
+from levelflow.networks.siren import SIREN
+from levelflow.shapes.implicit import Implicit
+from levelflow.shapes.shape import Shape
+
+
+def solve(
+    equation: Equation,
+    network: SIREN,
+    *,
+    at: Mapping[float, Key],
+    until: float | tuple[float, float] | None = None,
+    start: Placed | None = None,
+    box: Box | None = None,
+    budget: Budget = Budget(steps=1500),  # noqa: B008
+    sampling: Sampling = Sampling(),  # noqa: B008
+    warm_up: float = 0.25,
+    seed: int = 0,
+    on_step: Callable[[Progress], None] | None = None,
+    state: Mapping[str, Tensor] | None = None,
+) -> Placed:
+    r"""Solves an equation in space-time, subject to shapes given at some times.
+
+    The network f(x, t) is trained to vanish on the given surfaces at their times, with the given distances around them,
+    and to satisfy the equation near its moving zero set in between. Where the equation is a motion by a velocity
+    field, the given distances are also carried along its characteristics.
+
+    Args:
+        equation: The motion, in the units of the shapes.
+        network: A network of space and one time; it is not changed.
+        at: The shapes or static fields given, by their times.
+        until: The other end of the time interval, or both ends; the interval always contains the times of `at`. Time
+            may run backwards from a given shape: then curvature sharpens, which is ill-posed beyond a short while.
+        start: A static field to start from, such as one fitted to the first shape: its network, lifted to space-time
+            and to the width of `network`, replaces the initial weights.
+        box: Where the field is to be valid, in the units of the shapes. If left out, the box of the shapes, carried
+            along with the motion where that is possible, and a margin.
+        budget: Steps, or seconds, of training.
+        sampling: How many samples a step draws, and of which kinds.
+        warm_up: The part of the budget in which the equation is not yet asked for, only its simplest guess: the given
+            shape standing still, or several of them blended.
+        seed: Of every random choice.
+        on_step: Called with the progress after each step.
+        state: Where an interrupted run goes on from (`Progress.state`).
+
+    Returns:
+        The field in the units of the shapes, over the time interval. `provenance["accuracy"]` says, for each time of
+        `at`, how far its surface is from the given one.
+
+    Raises:
+        ValueError: If there is no time interval, or the network does not fit.
+        Divergence: If training fails; its `field` is the last good one.
+
+    Reference:
+        Novello et al., Neural Implicit Surface Evolution, ICCV 2023, Secs. 4 and 5.
+    """
+    interval = _interval(at, until)
+    if network.times != 1:
+        raise ValueError(f"solve: the network has {network.times} times; give one of space and time, SIREN(time=1).")
+    if not 0 <= warm_up < 1:
+        raise ValueError(f"solve(warm_up={warm_up:g}): give the part of the budget, at least 0 and below 1.")
+    if box is None:
+        box = start.box if start is not None else _reach(equation, at, interval)
+    box = box.during(interval)
+    if start is not None:
+        network = _lifted(start, network, box)
+    field = Placed(copy.deepcopy(network), box)
+
+    generator = torch.Generator().manual_seed(seed)
+    like = next(field.parameters())
+    given = {t: Given.of(key, box, n=sampling.given, generator=generator, like=like) for t, key in at.items()}
+    n, on, off = sampling.counts()
+    terms: list[Term] = []
+    for t, samples in given.items():
+        now = tuple(field.unit_times(torch.tensor([[t]], dtype=torch.float64))[0].tolist())
+        terms.append(OnSurface(field.field, samples, now, n=math.ceil(on / len(at))))
+        terms.append(OffSurface(field.field, samples, now, n=math.ceil(off / len(at))))
+    if len(at) == 1 and Carried.is_known(equation, box.space):
+        ((t, samples),) = given.items()
+        terms.append(Carried(field, equation, samples, t, n=n, generator=generator))
+        terms.append(Motion(field, equation, n=n // 4))
+    else:
+        terms.append(Blend(field, list(given.values()), list(given), n=n, until=0.0 if start is not None else warm_up))
+        terms.append(Motion(field, equation, n=n, since=0.0 if start is not None else warm_up))
+    try:
+        progress = minimise(
+            field.parameters(), terms, budget=budget, generator=generator, on_step=on_step, state=state
+        )
+    except Divergence as error:
+        error.field = field
+        raise
+    field.provenance = {
+        "verb": "solve",
+        "equation": repr(equation),
+        "seed": seed,
+        "steps": progress.step,
+        "accuracy": {f"{t:g}": _accuracy(field, t, key, seed) for t, key in at.items()},
+    }
+    return field
+
+
+def _interval(at: Mapping[float, Key], until: float | tuple[float, float] | None) -> tuple[float, float]:
+    """The times from the first to the last of those given and asked for."""
+    ends = () if until is None else until if isinstance(until, tuple) else (until,)
+    times = [float(t) for t in (*at, *ends)]
+    if not at:
+        raise ValueError("solve(at={}): give at least one shape, such as at={0.0: shape}.")
+    if not all(math.isfinite(t) for t in times):
+        raise ValueError(f"solve: the times {times} must be finite numbers.")
+    if min(times) == max(times):
+        raise ValueError(f"solve: all is given at t = {times[0]:g}; say how far to go with until=...")
+    return min(times), max(times)
+
+
+def _reach(equation: Equation, at: Mapping[float, Key], interval: tuple[float, float]) -> Box:
+    """A box around the given surfaces, and around where the motion carries them if it can be told beforehand."""
+    first, last = interval
+    boxes = []
+    for t0, key in at.items():
+        surface = surface_of(key)
+        boxes.append(surface.box)
+        x = surface.sample(2000, generator=torch.Generator().manual_seed(0)).points
+        start = torch.full((len(x),), float(t0), dtype=torch.float64)
+        for t in torch.linspace(first, last, 17).tolist():
+            carried = equation.carry(x, start, torch.full_like(start, t))
+            if carried is not None:
+                boxes.append(Box.around(carried))
+    return box_around(boxes)
+
+
+def _lifted(start: Placed, network: SIREN, box: Box) -> SIREN:
+    """The network of a static field, lifted to space-time."""
+    inner = start.field
+    if not isinstance(inner, SIREN) or inner.times or inner.depth != network.depth or inner.width > network.width:
+        raise ValueError(
+            "solve(start=...): give a static field whose SIREN has the depth of the network and at most its width "
+            f"({network.depth} layers, {network.width} wide)."
+        )
+    if start.box.frame != box.frame:
+        raise ValueError(
+            f"solve(start=...): the field to start from lies in {start.box}, the solution in {box}; "
+            "fit the field in that box: fit(..., box=...)."
+        )
+    return lift(inner, time=1, width=network.width)
+
+
+def _accuracy(field: Field, t: float, key: Key, seed: int) -> dict[str, float]:
+    """How far the surface at time t is from the given one, in the units of the shapes."""
+    generator = torch.Generator().manual_seed(seed)
+    goal: Shape = surface_of(key)
+    return surface_distance(goal, Implicit(field.at(t)), n=10_000, generator=generator).summary()

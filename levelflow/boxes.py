@@ -70,8 +70,10 @@ class Box:
     @classmethod
     def around(cls, points: np.ndarray | Tensor) -> Box:
         """The smallest box that contains (n, d) points."""
-        return cls(tuple(points.min(0)), tuple(points.max(0))) if isinstance(points, np.ndarray) else cls(
-            tuple(points.amin(0).tolist()), tuple(points.amax(0).tolist())
+        return (
+            cls(tuple(points.min(0)), tuple(points.max(0)))
+            if isinstance(points, np.ndarray)
+            else cls(tuple(points.amin(0).tolist()), tuple(points.amax(0).tolist()))
         )
 
     @property

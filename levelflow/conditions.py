@@ -112,7 +112,15 @@ class Given:
         with torch.no_grad():
             near_values = value(frame.from_unit(near)) / frame.scale
             far_values = value(frame.from_unit(far)) / frame.scale
-        return cls(*(part.to(like) for part in (points, drawn.normals, near, near_values, far, far_values)), value)
+        return cls(
+            points.to(like),
+            drawn.normals.to(like),
+            near.to(like),
+            near_values.to(like),
+            far.to(like),
+            far_values.to(like),
+            value,
+        )
 
 
 class OnSurface:
@@ -193,9 +201,11 @@ def _estimated_distance(
     """
     from scipy.spatial import cKDTree
 
-    p, normal = points.cpu().numpy(), normals.cpu().numpy()
+    # Points drawn with replacement repeat, and copies of one point are no neighbours of it.
+    p, first = np.unique(points.cpu().numpy(), axis=0, return_index=True)
+    normal = normals.cpu().numpy()[first]
     tree = cKDTree(p)
-    spacing = float(np.median(tree.query(np.unique(p, axis=0), k=2)[0][:, 1])) if len(p) > 1 else 0.0
+    spacing = float(np.median(tree.query(p, k=2)[0][:, 1])) if len(p) > 1 else 0.0
 
     def value(x: Tensor) -> Tensor:
         query = x.detach().double().cpu().numpy()

@@ -60,7 +60,11 @@ def gauss_curvature(jet: Jet) -> Float[Tensor, " n"]:
     n, h = normal(jet), jet.hessian
     # The rows of the adjugate of a symmetric matrix are the cross products of its other two rows.
     adjugate = torch.stack(
-        [torch.linalg.cross(h[:, 1], h[:, 2]), torch.linalg.cross(h[:, 2], h[:, 0]), torch.linalg.cross(h[:, 0], h[:, 1])],
+        [
+            torch.linalg.cross(h[:, 1], h[:, 2]),
+            torch.linalg.cross(h[:, 2], h[:, 0]),
+            torch.linalg.cross(h[:, 0], h[:, 1]),
+        ],
         dim=1,
     )
     return torch.einsum("ni,nij,nj->n", n, adjugate, n) / gradient_norm(jet) ** 2

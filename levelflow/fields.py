@@ -141,7 +141,9 @@ class Sum(Field):
         super().__init__()
         kinds = {(f.space, f.times) for f in fields}
         if len(kinds) != 1:
-            raise ValueError(f"Sum: the fields have different (space, times): {sorted(kinds)}; give fields of one kind.")
+            raise ValueError(
+                f"Sum: the fields have different (space, times): {sorted(kinds)}; give fields of one kind."
+            )
         self.fields = nn.ModuleList(fields)
         self.space, self.times = fields[0].space, fields[0].times
         self.box = fields[0].box

@@ -11,10 +11,9 @@ from torch import Tensor
 from levelflow.boxes import Box
 from levelflow.conditions import Given, OffSurface, OnSurface, Sampling, box_around
 from levelflow.fields import Placed
-from levelflow.measures import surface_distance
-from levelflow.minimising import Budget, Divergence, Progress, minimise
+from levelflow.measures import accuracy
+from levelflow.minimising import Budget, Divergence, Progress, Term, minimise
 from levelflow.networks.siren import SIREN
-from levelflow.shapes.implicit import Implicit
 from levelflow.shapes.shape import Shape
 
 
@@ -23,7 +22,7 @@ def fit(
     shape: Shape,
     *,
     box: Box | None = None,
-    budget: Budget = Budget(steps=1500),  # noqa: B008
+    budget: Budget = Budget(steps=1200),  # noqa: B008
     sampling: Sampling = Sampling(),  # noqa: B008
     seed: int = 0,
     on_step: Callable[[Progress], None] | None = None,
@@ -61,16 +60,12 @@ def fit(
     given = Given.of(shape, box, n=sampling.given, generator=generator, like=like)
     _, on, off = sampling.counts()
     on, off = round(sampling.n * on / (on + off)), round(sampling.n * off / (on + off))
-    terms = [OnSurface(field.field, given, (), n=on), OffSurface(field.field, given, (), n=off)]
+    terms: list[Term] = [OnSurface(field.field, given, (), n=on), OffSurface(field.field, given, (), n=off)]
     try:
-        progress = minimise(
-            field.parameters(), terms, budget=budget, generator=generator, on_step=on_step, state=state
-        )
+        progress = minimise(field.parameters(), terms, budget=budget, generator=generator, on_step=on_step, state=state)
     except Divergence as error:
         error.field = field
         raise
     field.provenance = {"verb": "fit", "seed": seed, "steps": progress.step}
-    field.provenance["accuracy"] = surface_distance(
-        shape, Implicit(field), n=10_000, generator=torch.Generator().manual_seed(seed)
-    ).summary()
+    field.provenance["accuracy"] = accuracy(field, shape, seed=seed)
     return field

@@ -142,7 +142,7 @@ def chain_jet(
     *,
     order: int,
 ) -> Jet:
-    r"""The jet of a scalar network $w \cdot s(W_L \cdots s(W_1 (x, t) + b_1) \cdots + b_L) + b$, by the adjoint Hessian.
+    r"""The jet of a network $w \cdot s(W_L \cdots s(W_1 (x, t) + b_1) \cdots + b_L) + b$, by the adjoint Hessian.
 
     With $u_l$ the argument of layer l, $P_l = \partial u_l / \partial x$ and $a_l = \partial f / \partial s(u_l)$,
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -13,7 +14,7 @@ from torch import Tensor
 from levelflow.fields import Field
 from levelflow.jets import Jet
 from levelflow.shapes.cloud import PointCloud
-from levelflow.shapes.implicit import Implicit
+from levelflow.shapes.implicit import Implicit, NoSurface
 from levelflow.shapes.mesh import Mesh
 from levelflow.shapes.shape import Shape, Solid
 
@@ -65,10 +66,6 @@ class SurfaceDistance:
         """The greater of the two greatest distances."""
         return max(self.there.max, self.back.max)
 
-    def summary(self) -> dict[str, float]:
-        """Mean and greatest distance over both directions, for reports."""
-        return {"mean": self.chamfer, "max": self.hausdorff}
-
     def __str__(self) -> str:
         return (
             f"chamfer {self.chamfer:.4g}, Hausdorff {self.hausdorff:.4g} "
@@ -104,6 +101,19 @@ def surface_distance(
             "give two surfaces of the same space."
         )
     return SurfaceDistance(_towards(b, points, a), _towards(a, others, b))
+
+
+def accuracy(field: Field, shape: Shape, *, seed: int, n: int = 10_000) -> dict[str, float] | None:
+    """The mean and greatest distance between the surface of a static field and a shape, both ways; for reports.
+
+    None, with a warning, if the field has no surface in its box: too little training, or a shape that has vanished.
+    """
+    try:
+        distance = surface_distance(shape, Implicit(field), n=n, generator=torch.Generator().manual_seed(seed))
+    except NoSurface as error:
+        warnings.warn(f"{error} Its accuracy is unknown.", stacklevel=2)
+        return None
+    return {"mean": distance.chamfer, "max": distance.hausdorff}
 
 
 def chamfer(a: Shape | Points, b: Shape | Points, *, n: int = 30_000, generator: torch.Generator) -> float:

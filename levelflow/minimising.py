@@ -128,9 +128,12 @@ def minimise(
         state: Where to go on from, as returned by `Progress.state`.
 
     Raises:
+        ValueError: If there is nothing to optimise.
         Divergence: If the loss becomes infinite or not a number; the parameters return to the last good state.
     """
     parameters = [p for p in parameters if p.requires_grad]
+    if not parameters:
+        raise ValueError("minimise: none of the parameters requires a gradient; there is nothing to optimise.")
     chunk = chunk or (1024 if parameters[0].device.type == "cpu" else 1 << 20)
     soap = SOAP(parameters, lr=rate)
     progress = Progress()
@@ -150,12 +153,13 @@ def minimise(
                 progress.losses.pop(term.name, None)
                 continue
             loss = _accumulate(term, term.sample(generator), chunk)
-            if not math.isfinite(loss):
+            if not math.isfinite(loss) or not all(_is_finite(p.grad) for p in parameters):
                 with torch.no_grad():
                     for p, last in zip(parameters, good, strict=True):
                         p.copy_(last)
                 raise Divergence(
-                    f"Training diverged at step {progress.step + 1}: the loss of '{term.name}' is {loss}. "
+                    f"Training diverged at step {progress.step + 1}: the loss of '{term.name}' is {loss:g}, "
+                    f"{'with a gradient that is no number' if math.isfinite(loss) else 'no number'}. "
                     "The field is back at its last good state; lower the learning rate, or shorten the time interval."
                 )
             memory = progress.losses.get(term.name, loss)
@@ -179,6 +183,11 @@ def _accumulate(term: Term, batch: Batch, chunk: int) -> float:
         (term.weight * loss).backward()
         total += loss.item()
     return total
+
+
+def _is_finite(gradient: Tensor | None) -> bool:
+    """Whether a gradient has only finite entries; their sum tells, unless it overflows, which is as bad."""
+    return gradient is None or math.isfinite(gradient.sum().item())
 
 
 def _schedule(step: int, spent: float) -> float:

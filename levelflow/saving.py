@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from levelflow._version import __version__
@@ -68,7 +67,8 @@ def load(path: str | Path) -> Placed:
             dtype=tensors["last.weight"].dtype,
         )  # fmt: skip
         network.load_state_dict(tensors)
-        field = Placed(network, Box(box["lower"], box["upper"], box["times"]))
+        times = tuple((first, last) for first, last in box["times"])
+        field = Placed(network, Box(tuple(box["lower"]), tuple(box["upper"]), times))
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"load: the header of {path.name!r} does not describe its content: {error}.") from None
     field.provenance = dict(header.get("provenance", {}))
@@ -125,14 +125,17 @@ def _read(path: Path, *, kind: str | None) -> tuple[dict[str, Tensor], dict[str,
     if not path.exists():
         raise FileNotFoundError(f"load: there is no file {str(path)!r} (looked in {Path.cwd()}).")
     if path.is_dir():
-        raise ValueError(f"load: {str(path)!r} is a folder; give the field in it, such as {str(path / 'field.safetensors')!r}.")
+        raise ValueError(
+            f"load: {str(path)!r} is a folder; give the field in it, such as {str(path / 'field.safetensors')!r}."
+        )
     try:
         with safe_open(str(path), framework="pt") as file:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise ValueError(
-            f"load: {path.name!r} ({path.stat().st_size} bytes) is not a field; it is cut off or of another kind ({error})."
+            f"load: {path.name!r} ({path.stat().st_size} bytes) is not a field; "
+            f"it is cut off or of another kind ({error})."
         ) from None
     try:
         header = json.loads(metadata[_KEY])

@@ -12,14 +12,12 @@ from torch import Tensor
 from levelflow.boxes import Box
 from levelflow.conditions import Given, Key, OffSurface, OnSurface, Sampling, box_around, surface_of
 from levelflow.equations.equation import Equation
-from levelflow.fields import Field, Placed
-from levelflow.measures import surface_distance
+from levelflow.fields import Placed
+from levelflow.measures import accuracy
 from levelflow.minimising import Budget, Divergence, Progress, Term, minimise
 from levelflow.motion import Blend, Carried, Motion
 from levelflow.networks.lifting import lift
 from levelflow.networks.siren import SIREN
-from levelflow.shapes.implicit import Implicit
-from levelflow.shapes.shape import Shape
 
 
 def solve(
@@ -30,7 +28,7 @@ def solve(
     until: float | tuple[float, float] | None = None,
     start: Placed | None = None,
     box: Box | None = None,
-    budget: Budget = Budget(steps=1500),  # noqa: B008
+    budget: Budget = Budget(steps=1200),  # noqa: B008
     sampling: Sampling = Sampling(),  # noqa: B008
     warm_up: float = 0.25,
     seed: int = 0,
@@ -101,9 +99,7 @@ def solve(
         terms.append(Blend(field, list(given.values()), list(given), n=n, until=0.0 if start is not None else warm_up))
         terms.append(Motion(field, equation, n=n, since=0.0 if start is not None else warm_up))
     try:
-        progress = minimise(
-            field.parameters(), terms, budget=budget, generator=generator, on_step=on_step, state=state
-        )
+        progress = minimise(field.parameters(), terms, budget=budget, generator=generator, on_step=on_step, state=state)
     except Divergence as error:
         error.field = field
         raise
@@ -112,7 +108,7 @@ def solve(
         "equation": repr(equation),
         "seed": seed,
         "steps": progress.step,
-        "accuracy": {f"{t:g}": _accuracy(field, t, key, seed) for t, key in at.items()},
+        "accuracy": {f"{t:g}": accuracy(field.at(t), surface_of(key), seed=seed) for t, key in at.items()},
     }
     return field
 
@@ -160,10 +156,3 @@ def _lifted(start: Placed, network: SIREN, box: Box) -> SIREN:
             "fit the field in that box: fit(..., box=...)."
         )
     return lift(inner, time=1, width=network.width)
-
-
-def _accuracy(field: Field, t: float, key: Key, seed: int) -> dict[str, float]:
-    """How far the surface at time t is from the given one, in the units of the shapes."""
-    generator = torch.Generator().manual_seed(seed)
-    goal: Shape = surface_of(key)
-    return surface_distance(goal, Implicit(field.at(t)), n=10_000, generator=generator).summary()

@@ -5,7 +5,7 @@ from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.equation import Equation, LevelSetEquation
 from levelflow.equations.morph import Morph
 from levelflow.equations.stationary import Stationary
-from levelflow.equations.transport import Constant, Rotation, Source, Transport, Twist, VelocityField
+from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
 
 __all__ = [
     "Constant",
@@ -17,6 +17,7 @@ __all__ = [
     "Rotation",
     "Source",
     "Stationary",
+    "SumOfVelocities",
     "Transport",
     "Twist",
     "VelocityField",

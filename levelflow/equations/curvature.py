@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from jaxtyping import Float
 from torch import Tensor
@@ -31,7 +30,8 @@ class MeanCurvature(LevelSetEquation):
     """
 
     rate: float
-    order: ClassVar[int] = 2
+
+    order = 2
 
     def __post_init__(self) -> None:
         if not self.rate > 0:

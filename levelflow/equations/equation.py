@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from functools import reduce
 from operator import add
-from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -22,7 +21,7 @@ class Equation(ABC):
         order: The order of the jets that it needs, 1 or 2.
     """
 
-    order: ClassVar[int] | int = 1
+    order: int = 1
 
     @abstractmethod
     def residual(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Tensor:

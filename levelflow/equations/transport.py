@@ -122,7 +122,9 @@ class Source(VelocityField):
 
     def __post_init__(self) -> None:
         if not self.width > 0:
-            raise ValueError(f"Source(width={self.width:g}): the width must be positive; it is the reach of the source.")
+            raise ValueError(
+                f"Source(width={self.width:g}): the width must be positive; it is the reach of the source."
+            )
 
     def __call__(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"]) -> Float[Tensor, "n d"]:
         y = _relative(x, self.center)

@@ -30,7 +30,9 @@ def lift(network: SIREN, *, time: int = 1, width: int | None = None, generator: 
     if network.times:
         raise ValueError(f"lift: the network already depends on {network.times} time(s); lift a slice, network.at(t).")
     if width < network.width:
-        raise ValueError(f"lift(width={width}): the network has width {network.width}; lifting cannot make it narrower.")
+        raise ValueError(
+            f"lift(width={width}): the network has width {network.width}; lifting cannot make it narrower."
+        )
     lifted = SIREN(
         network.space,
         time,

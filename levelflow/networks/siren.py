@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import cast
 
 import torch
 from jaxtyping import Float
@@ -99,7 +100,8 @@ class SIREN(Field):
 
     def _hidden(self) -> Sequence[tuple[Tensor, Tensor]]:
         """Weights and biases of the hidden layers with the frequency folded in."""
-        return [(self.omega * layer.weight, self.omega * layer.bias) for layer in self.hidden]  # type: ignore[operator]
+        layers = cast(Iterable[nn.Linear], self.hidden)
+        return [(self.omega * layer.weight, self.omega * layer.bias) for layer in layers]
 
 
 def sine(u: Tensor, order: int) -> tuple[Tensor, ...]:

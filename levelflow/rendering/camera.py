@@ -67,9 +67,11 @@ class Camera:
             orthographic: Whether rays are parallel.
             margin: How many times larger than the subject the view is.
         """
-        points = np.array(list(itertools.product(*zip(subject.lower, subject.upper, strict=True)))) if isinstance(
-            subject, Box
-        ) else np.asarray(subject, dtype=np.float64)
+        points = (
+            np.array(list(itertools.product(*zip(subject.lower, subject.upper, strict=True))))
+            if isinstance(subject, Box)
+            else np.asarray(subject, dtype=np.float64)
+        )
         if points.shape[1] == 2:
             points = np.pad(points, ((0, 0), (0, 1)))
             azimuth, elevation, orthographic, up = 0.0, 0.0, True, (0.0, 1.0, 0.0)

@@ -85,8 +85,8 @@ class PointCloud(Shape):
             length = np.linalg.norm(directions, axis=1)
             if len(bad := np.flatnonzero(~(np.isfinite(length) & (length > 0)))):
                 raise ValueError(
-                    f"{name}: {len(bad)} of {len(directions)} normals are zero or not finite, the first is that of point "
-                    f"{bad[0]}. Leave the normals out to have them estimated."
+                    f"{name}: {len(bad)} of {len(directions)} normals are zero or not finite, the first is that of "
+                    f"point {bad[0]}. Leave the normals out to have them estimated."
                 )
             directions = directions / length[:, None]
         positions.flags.writeable = directions.flags.writeable = False

@@ -12,6 +12,10 @@ from levelflow.fields import Field
 from levelflow.shapes.shape import Samples, Shape
 
 
+class NoSurface(ValueError):
+    """The field has no zero where it was looked for."""
+
+
 class Implicit(Shape):
     """The zero set of a static field, sampled by projection.
 
@@ -46,7 +50,7 @@ class Implicit(Shape):
         around the surface and their density is nearly uniform by area.
 
         Raises:
-            ValueError: If the field has no zero in the box.
+            NoSurface: If the field has no zero in the box.
         """
         box = self._search
         thickness = max(box.size) * 0.05
@@ -60,7 +64,7 @@ class Implicit(Shape):
                 return Samples(
                     torch.cat([s.points for s in found])[:n].cpu(), torch.cat([s.normals for s in found])[:n].cpu()
                 )
-        raise ValueError(
+        raise NoSurface(
             f"Implicit.sample: the field has (almost) no zero in the box {box.lower} to {box.upper}; "
             "its surface has vanished or lies outside."
         )

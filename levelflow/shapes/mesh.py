@@ -104,8 +104,8 @@ class Mesh(Solid):
             )
         if len(bad := np.flatnonzero(((faces < 0) | (faces >= len(vertices))).any(1))):
             raise ValueError(
-                f"{name}: {len(bad)} of {len(faces)} faces name a vertex that does not exist, the first is face {bad[0]} "
-                f"with vertices {tuple(faces[bad[0]].tolist())}; they are numbered 0 to {len(vertices) - 1}."
+                f"{name}: {len(bad)} of {len(faces)} faces name a vertex that does not exist, the first is face "
+                f"{bad[0]} with vertices {tuple(faces[bad[0]].tolist())}; they are numbered 0 to {len(vertices) - 1}."
             )
         if normals is not None:
             normals = np.array(normals, dtype=np.float64)

@@ -159,7 +159,8 @@ def _stl(data: bytes) -> Contents:
             raise _Malformed(f"it has {len(soup)} corners, not three per triangle; the file may be cut off.")
     else:
         raise _Malformed(
-            f"it announces {max(count, 0)} triangles, {84 + max(count, 0) * record.itemsize} bytes, and has {len(data)}."
+            f"it announces {max(count, 0)} triangles, {84 + max(count, 0) * record.itemsize} bytes, and "
+            f"has {len(data)}."
         )
     vertices = soup.astype(np.float64)
     return Contents(vertices, np.arange(len(vertices)), np.full(len(vertices) // 3, 3))
@@ -296,7 +297,7 @@ def _gltf(path: Path) -> Contents:
 
     try:
         scene = trimesh.load_scene(path, process=False)
-    except Exception as error:  # noqa: BLE001, the loader raises whatever it trips over
+    except Exception as error:
         raise _Malformed(f"the loader says {type(error).__name__}: {error}.") from None
     vertices, faces, n = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)], 0
     for node in scene.graph.nodes_geometry:

@@ -1,0 +1,328 @@
+"""The commands."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from levelflow._version import __version__
+from levelflow.cli.names import (
+    box_of,
+    builtin,
+    device_named,
+    half_box,
+    key_named,
+    numbers_in,
+    solid_named,
+    surface_named,
+    times_in,
+    velocity_named,
+    warn_of_distance,
+)
+from levelflow.cli.running import Run, accuracy_in_words, budget, evolve, training
+
+if TYPE_CHECKING:
+    from levelflow.conditions import Key
+    from levelflow.equations import Equation
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Evolve surfaces: smooth, move and morph meshes as the zero set of one neural field in space and time.",
+    epilog="SHAPE is a mesh (.obj .ply .stl .off .glb), a point cloud (.ply .xyz .txt .csv .npy), a field written by "
+    "this program (.safetensors), or one of: sphere, cuboid, rounded-cuboid, torus, cylinder, capsule, dumbbell. "
+    "Add --debug to any command for a traceback.",
+)
+
+ShapeArgument = Annotated[str, typer.Argument(metavar="SHAPE", help="A mesh, a point cloud, a field, or a built-in.")]
+Folder = Annotated[Path, typer.Option("--output", "-o", help="The folder for the results.")]
+Steps = Annotated[int | None, typer.Option(help="Training steps. By default 1200, or as many as --seconds allows.")]
+Seconds = Annotated[float | None, typer.Option(help="Training time; takes the place of the default number of steps.")]
+Seed = Annotated[int, typer.Option(help="Of every random choice.")]
+Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:1, ...")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but warnings and errors.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with the interrupted run in the output folder.")]
+Width = Annotated[int, typer.Option(help="Neurons of a layer.")]
+Depth = Annotated[int, typer.Option(help="Hidden layers.")]
+Resolution = Annotated[int, typer.Option(help="Marching-cubes cells along the longest side.")]
+Times = Annotated[str | None, typer.Option(help="0,0.5,1 or first:last:number.")]
+Relative = Annotated[
+    bool, typer.Option("--relative", help="Rates, lengths and positions in units of half the box of the shape.")
+]
+
+
+@app.command()
+def demo(
+    output: Folder = Path("demo-output"),
+    steps: Annotated[int, typer.Option(help="Training steps of each of the three evolutions.")] = 300,
+    quiet: Quiet = False,
+) -> None:
+    """Smooth a dumbbell until it pinches, twist a block, and morph a torus: about a minute on two cores."""
+    from levelflow.equations import MeanCurvature, Morph, Transport, Twist
+    from levelflow.rendering.images import contact_sheet, stack
+    from levelflow.shapes import Cuboid, Torus
+
+    block, ring = Cuboid((0.5, 1.4, 0.5), radius=0.1), Torus(0.55, 0.22)
+    ball = Cuboid((1.0, 1.0, 1.0), radius=0.15)
+    rows: tuple[tuple[str, str, dict[float, Key], Equation, float, float], ...] = (
+        ("smooth", "a dumbbell under mean curvature", {0.0: builtin("dumbbell")}, MeanCurvature(0.1), 0.0, 0.12),
+        ("advect", "a block under a twist", {0.0: block}, Transport(Twist(2.0)), 0.0, 1.0),
+        ("morph", "a torus into a rounded cube", {0.0: ring, 1.0: ball}, Morph(ball), 0.0, 1.0),
+    )
+    sheets = []
+    for name, title, at, equation, first, last in rows:
+        run = Run(steps, None, 0, "cpu", quiet, False, 64, 3)
+        times = [first + (last - first) * i / 4 for i in range(5)]
+        folder = output / name
+        frames = evolve(run, name, [name], at, equation, times, folder, resolution=96, title=title)
+        sheets.append(
+            contact_sheet([f.mesh for f in frames], [f"t = {f.time:g}" for f in frames], title=title, size=300)
+        )
+    stack(sheets, output / "demo.png")
+    if not quiet:
+        typer.echo(f"{output / 'demo.png'}: three evolutions; their meshes, fields and reports are in {output}")
+
+
+@app.command()
+def fit(
+    shape: ShapeArgument,
+    output: Annotated[Path, typer.Option("--output", "-o", help="The field to write (.safetensors).")],
+    steps: Steps = None,
+    seconds: Seconds = None,
+    seed: Seed = 0,
+    device: Device = "cpu",
+    quiet: Quiet = False,
+    resume: Resume = False,
+    width: Width = 128,
+    depth: Depth = 3,
+) -> None:
+    """Fit a field to a shape, and say how accurate it is."""
+    from levelflow.fitting import fit as fit_field
+    from levelflow.networks.siren import SIREN
+    from levelflow.saving import save
+
+    run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
+    if output.suffix != ".safetensors":
+        raise ValueError(
+            f"fit -o {output}: a field is a .safetensors file; name it {output.with_suffix('.safetensors')}."
+        )
+    surface = surface_named(shape)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    checkpoint = output.with_name(f"{output.stem}.checkpoint.safetensors")
+    with training(run, f"fitting {shape}", checkpoint, run.settings("fit", [shape])) as (on_step, state):
+        field = fit_field(
+            SIREN(surface.box.space, width=width, depth=depth).to(device_named(device)), surface, budget=budget(run),
+            seed=seed, on_step=on_step, state=state,
+        )  # fmt: skip
+    field.provenance["inputs"] = [shape]
+    save(field, output)
+    checkpoint.unlink(missing_ok=True)
+    run.say(f"{output}: {accuracy_in_words(field.provenance['accuracy'], field.box)}")
+
+
+@app.command()
+def smooth(
+    shape: ShapeArgument,
+    output: Folder,
+    rate: Annotated[
+        float | None, typer.Option(help="Rate of mean curvature motion, length^2 per time [default: by the size].")
+    ] = None,
+    times: Times = "0:1:5",
+    relative: Relative = False,
+    resolution: Resolution = 128,
+    steps: Steps = None,
+    seconds: Seconds = None,
+    seed: Seed = 0,
+    device: Device = "cpu",
+    quiet: Quiet = False,
+    resume: Resume = False,
+    width: Width = 128,
+    depth: Depth = 3,
+) -> None:
+    """Smooth a shape by motion along its mean curvature; negative times sharpen it."""
+    from levelflow.equations import MeanCurvature
+
+    run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
+    key = key_named(shape)
+    unit = half_box(key)
+    if rate is None:
+        rate, relative = 1e-3, True
+    equation = MeanCurvature(rate * unit**2 if relative else rate)
+    evolve(run, "smooth", [shape], {0.0: key}, equation, times_in(times), output, resolution=resolution)
+
+
+@app.command()
+def advect(
+    shape: ShapeArgument,
+    output: Folder,
+    velocity: Annotated[
+        str, typer.Option(help="translation, rotation, twist, source, sink; several with + between them.")
+    ] = "twist",
+    by: Annotated[str | None, typer.Option(help="Velocity of a translation, x,y,z.")] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(help="Radians per time (rotation), per time and length (twist), or strength (source, sink)."),
+    ] = None,
+    axis: Annotated[str, typer.Option(help="Direction of a rotation or twist, x,y,z.")] = "0,1,0",
+    center: Annotated[str | None, typer.Option(help="A point x,y,z [default: the centre of the box].")] = None,
+    reach: Annotated[float | None, typer.Option(help="Width of a source or sink, a length.")] = None,
+    times: Times = "0:1:5",
+    relative: Relative = False,
+    resolution: Resolution = 128,
+    steps: Steps = None,
+    seconds: Seconds = None,
+    seed: Seed = 0,
+    device: Device = "cpu",
+    quiet: Quiet = False,
+    resume: Resume = False,
+    width: Width = 128,
+    depth: Depth = 3,
+) -> None:
+    """Carry a shape along a velocity field."""
+    from levelflow.equations import SumOfVelocities, Transport
+
+    run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
+    key = key_named(shape)
+    unit, box = half_box(key), box_of(key)
+    middle = box.center if center is None else numbers_in(center, "--center")
+    if center is not None and relative:
+        middle = tuple(c + unit * v for c, v in zip(box.center, middle, strict=True))
+    length = unit if relative else 1.0
+    velocities = [
+        velocity_named(name.strip(), by=by, rate=rate, axis=numbers_in(axis, "--axis"), center=middle, reach=reach,
+                  length=length, unit=unit)
+        for name in velocity.split("+")
+    ]  # fmt: skip
+    equation = Transport(velocities[0] if len(velocities) == 1 else SumOfVelocities(tuple(velocities)))
+    evolve(run, "advect", [shape], {0.0: key}, equation, times_in(times), output, resolution=resolution)
+
+
+@app.command()
+def morph(
+    shapes: Annotated[list[str], typer.Argument(metavar="A B [C ...]", help="Two shapes or more.")],
+    output: Folder,
+    times: Times = None,
+    resolution: Resolution = 128,
+    steps: Steps = None,
+    seconds: Seconds = None,
+    seed: Seed = 0,
+    device: Device = "cpu",
+    quiet: Quiet = False,
+    resume: Resume = False,
+    width: Width = 128,
+    depth: Depth = 3,
+) -> None:
+    """Morph shapes into each other; they stand at equal steps of time from 0 to 1."""
+    from levelflow.equations import Morph
+
+    if len(shapes) < 2:
+        raise ValueError(f"morph {shapes[0]}: one shape is given; name at least two.")
+    run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
+    solids = [solid_named(shape) for shape in shapes]
+    at: dict[float, Key] = {i / (len(shapes) - 1): solid for i, solid in enumerate(solids)}
+    warn_of_distance(shapes, [box_of(key) for key in at.values()])
+    equation = Morph({t: solid for t, solid in zip(at, solids, strict=True) if t > 0})
+    asked = times_in(times or f"0:1:{4 * (len(shapes) - 1) + 1}")
+    if min(asked) < 0 or max(asked) > 1:
+        raise ValueError(
+            f"morph --times {times}: the shapes stand between the times 0 and 1; ask for times in between."
+        )
+    evolve(run, "morph", shapes, at, equation, asked, output, resolution=resolution)
+
+
+@app.command()
+def mesh(
+    field: Annotated[Path, typer.Argument(metavar="FIELD", help="A field (.safetensors).")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The mesh to write: .ply, .obj, .off or .stl.")],
+    at: Annotated[float | None, typer.Option("--time", help="When; needed for a field that moves.")] = None,
+    resolution: Resolution = 128,
+    refine: Annotated[int, typer.Option(help="Steps that move each vertex onto the surface itself.")] = 0,
+) -> None:
+    """Extract the surface of a field as a mesh, in the units of the shape it came from."""
+    from levelflow.extraction import extract
+    from levelflow.saving import load
+
+    loaded = load(field)
+    if loaded.times and at is None:
+        (first, last) = loaded.box.times[0]
+        raise ValueError(f"mesh {field}: the field moves from t = {first:g} to {last:g}; say when with --time.")
+    if at is not None and not loaded.times:
+        raise ValueError(f"mesh {field} --time {at:g}: the field does not depend on time; leave --time out.")
+    surface = extract(loaded if at is None else loaded.at(at), resolution=resolution, refine=refine)
+    surface.write(output)
+    typer.echo(f"{output}: {len(surface.vertices):,} vertices, {len(surface.faces):,} faces")
+
+
+@app.command()
+def measure(
+    a: Annotated[str, typer.Argument(metavar="A", help="A shape.")],
+    b: Annotated[str, typer.Argument(metavar="B", help="Another.")],
+    n: Annotated[int, typer.Option("-n", help="Points drawn from each surface.")] = 30_000,
+    seed: Seed = 0,
+) -> None:
+    """Distances between two surfaces, and the area and volume of each, in their own units."""
+    import torch
+
+    from levelflow.measures import surface_distance
+    from levelflow.shapes import Mesh
+
+    surfaces = [surface_named(text) for text in (a, b)]
+    for text, surface in zip((a, b), surfaces, strict=True):
+        if isinstance(surface, Mesh):
+            typer.echo(f"{text}: area {surface.area:.6g}, volume {surface.volume:.6g}")
+    distance = surface_distance(*surfaces, n=n, generator=torch.Generator().manual_seed(seed))
+    typer.echo(f"chamfer {distance.chamfer:.6g}, Hausdorff {distance.hausdorff:.6g}")
+    for title, spread in ((f"{a} to {b}", distance.there), (f"{b} to {a}", distance.back)):
+        typer.echo(f"{title}: mean {spread.mean:.6g}, max {spread.max:.6g}")
+
+
+@app.command()
+def info(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A field, a checkpoint, a mesh or a point cloud.")],
+) -> None:
+    """What a file holds."""
+    from levelflow.shapes import Mesh
+
+    if file.suffix == ".safetensors":
+        from levelflow.saving import describe
+
+        typer.echo(json.dumps(describe(file), indent=2))
+        return
+    surface = surface_named(str(file))
+    if isinstance(surface, Mesh):
+        body = "body" if surface.components == 1 else "bodies"
+        typer.echo(
+            f"{file}: {len(surface.vertices):,} vertices, {len(surface.faces):,} faces, {surface.components} {body}"
+        )
+        typer.echo(f"watertight: {'yes' if surface.is_watertight else 'no'}")
+        typer.echo(f"area {surface.area:.6g}, volume {surface.volume:.6g}")
+        uncertainty = surface.sign_uncertainty()
+        typer.echo(f"inside is uncertain in {100 * uncertainty.share:.2g} % of the box")
+    else:
+        typer.echo(f"{file}: {surface!r}")
+    typer.echo(f"box from {_point(surface.box.lower)} to {_point(surface.box.upper)}")
+
+
+def _point(values: Sequence[float]) -> str:
+    return "(" + ", ".join(f"{v:g}" for v in values) + ")"
+
+
+def _version(asked: bool) -> bool:
+    if asked:
+        typer.echo(f"levelflow {__version__}")
+        raise typer.Exit
+    return asked
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Options of the program itself."""

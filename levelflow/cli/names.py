@@ -1,0 +1,183 @@
+"""What the strings of the command line stand for: shapes, velocity fields, times, devices."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import torch
+
+    from levelflow.boxes import Box
+    from levelflow.conditions import Key
+    from levelflow.equations import VelocityField
+    from levelflow.fields import Field
+    from levelflow.shapes import Shape, Solid
+
+BUILTINS = ("sphere", "cuboid", "rounded-cuboid", "torus", "cylinder", "capsule", "dumbbell")
+
+
+def key_named(text: str) -> Key:
+    """The shape or static field that an argument names."""
+    from levelflow.shapes import Mesh, PointCloud
+    from levelflow.shapes.reading import read_contents
+
+    if text in BUILTINS:
+        return builtin(text)
+    path = Path(text)
+    suffix = path.suffix.lower()
+    if not path.exists() and not suffix:
+        raise FileNotFoundError(f"{text!r} is neither a file nor a built-in shape ({', '.join(BUILTINS)}).")
+    if suffix == ".safetensors":
+        from levelflow.saving import load
+
+        field = load(path)
+        if field.times:
+            raise ValueError(
+                f"{text}: the field moves; write its surface at one time first: levelflow mesh {text} --time T"
+            )
+        return field
+    if suffix in (".xyz", ".txt", ".csv", ".npy") or (
+        suffix == ".ply" and not len(read_contents(path, call="levelflow", formats=(".ply",)).sizes)
+    ):
+        return PointCloud.read(path)
+    return Mesh.read(path)
+
+
+def solid_named(text: str) -> Solid | Field:
+    """A shape with an inside, or a static field."""
+    from levelflow.fields import Field
+    from levelflow.shapes import Solid
+
+    key = key_named(text)
+    if isinstance(key, Solid | Field):
+        return key
+    raise ValueError(f"{text} is a point cloud, which has no inside; fit a field first: levelflow fit {text} -o ...")
+
+
+def surface_named(text: str) -> Shape:
+    """The surface that an argument names."""
+    from levelflow.conditions import surface_of
+
+    return surface_of(key_named(text))
+
+
+def builtin(name: str) -> Solid:
+    """A built-in shape, about a unit in size."""
+    from levelflow import shapes
+
+    made: dict[str, Callable[[], Solid]] = {
+        "sphere": lambda: shapes.Sphere(0.5),
+        "cuboid": lambda: shapes.Cuboid((1.0, 1.0, 1.0)),
+        "rounded-cuboid": lambda: shapes.Cuboid((1.0, 1.0, 1.0), radius=0.15),
+        "torus": lambda: shapes.Torus(0.5, 0.2),
+        "cylinder": lambda: shapes.Cylinder(0.3, 1.0),
+        "capsule": lambda: shapes.Capsule(0.3, 0.8),
+        "dumbbell": lambda: shapes.Rotated(shapes.Dumbbell(0.3, 1.0, 0.12), math.pi / 2, (0.0, 1.0, 0.0)),
+    }
+    return made[name]()
+
+
+def velocity_named(
+    name: str,
+    *,
+    by: str | None,
+    rate: float | None,
+    axis: tuple[float, ...],
+    center: tuple[float, ...],
+    reach: float | None,
+    length: float,
+    unit: float,
+) -> VelocityField:
+    """A velocity field by its name; `length` is the unit of lengths that were given, `unit` that of defaults."""
+    from levelflow.equations import Constant, Rotation, Source, Twist
+
+    if name == "translation":
+        moved = (0.5 * unit, 0.0, 0.0) if by is None else tuple(length * v for v in numbers_in(by, "--by"))
+        return Constant(moved)
+    if name == "rotation":
+        return Rotation(math.pi / 2 if rate is None else rate, axis, center)
+    if name == "twist":
+        return Twist(1 / unit if rate is None else rate / length, axis, center)
+    if name in ("source", "sink"):
+        strength = (1.0 if rate is None else rate) * (1 if name == "source" else -1)
+        return Source(center, strength, 0.18**0.5 * unit if reach is None else reach * length)
+    raise ValueError(f"--velocity {name}: known are translation, rotation, twist, source and sink.")
+
+
+def device_named(name: str) -> torch.device:
+    """A device of PyTorch that is there."""
+    import torch
+
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise ValueError(f"--device {name}: there is no such kind of device; give cpu or cuda.") from None
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise ValueError(f"--device {name}: PyTorch sees no CUDA device here; leave the option out, or see the README.")
+    return device
+
+
+def times_in(text: str | None) -> list[float]:
+    """`0,0.5,1` or `first:last:number`."""
+    try:
+        if text and ":" in text:
+            first, last, number = text.split(":")
+            count = int(number)
+            values = [float(first) + (float(last) - float(first)) * i / max(1, count - 1) for i in range(count)]
+        else:
+            values = [float(part) for part in (text or "").split(",")]
+    except ValueError:
+        values = []
+    if not values or not all(math.isfinite(v) for v in values):
+        raise ValueError(f"--times {text}: give numbers, 0,0.5,1, or first:last:number, 0:1:5.")
+    return sorted({round(v, 12) + 0.0 for v in values})
+
+
+def numbers_in(text: str, option: str) -> tuple[float, ...]:
+    """`0,1,0`."""
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"{option} {text}: give numbers with commas between them, 0,1,0.") from None
+
+
+def box_of(key: Key) -> Box:
+    """The box around the surface of a shape or field."""
+    from levelflow.conditions import surface_of
+
+    return surface_of(key).box
+
+
+def half_box(key: Key) -> float:
+    """The length that `--relative` counts in: half the longest side of the box that a field for the shape has."""
+    from levelflow.conditions import box_around
+
+    return box_around([box_of(key)]).frame.scale
+
+
+def warn_of_distance(names: Sequence[str], boxes: Sequence[Box]) -> None:
+    """Shapes of very different size or place are morphed as they are; that is seldom meant."""
+    first = boxes[0]
+    for name, box in zip(names[1:], boxes[1:], strict=True):
+        ratio = max(box.size) / max(first.size)
+        gap = max(abs(a - b) for a, b in zip(first.center, box.center, strict=True))
+        if not 1 / 3 < ratio < 3 or gap > max(*first.size, *box.size):
+            warnings.warn(
+                f"{name} is {ratio:.3g} times as large as {names[0]} and {gap:.3g} away from it; "
+                "shapes are morphed at the size and place that their files say.",
+                stacklevel=2,
+            )
+
+
+def fingerprint(text: str) -> str:
+    """The name of an input, with the size of its file and a checksum of its bytes."""
+    import zlib
+
+    path = Path(text)
+    if text in BUILTINS or not path.is_file():
+        return text
+    return f"{path.name}:{path.stat().st_size}:{zlib.crc32(path.read_bytes()):08x}"

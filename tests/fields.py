@@ -1,0 +1,145 @@
+"""Fields for tests: one from any formula, one of every kind, and the jet that automatic differentiation gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor, nn
+
+from levelflow.boxes import Box
+from levelflow.fields import Deformed, Field, Map, Placed, Slice, Sum
+from levelflow.jets import Jet
+from levelflow.networks.lifting import lift
+from levelflow.networks.siren import SIREN
+
+
+class Explicit(Field):
+    """The field of a formula f(x, t), (n,) for points (n, d) and times (n, k), with derivatives by autograd."""
+
+    def __init__(
+        self, function: Callable[[Tensor, Tensor], Tensor], space: int, times: int = 0, *, box: Box | None = None
+    ) -> None:
+        super().__init__()
+        self.function, self.space, self.times, self.box = function, space, times, box
+        # A placed field computes in the dtype of its parameters.
+        self.unused = nn.Parameter(torch.zeros((), dtype=torch.float64))
+
+    def push(self, jet: Jet) -> Jet:
+        d = self.space
+        with torch.enable_grad():
+            size = self.space + self.times if jet.order > 1 else 0
+            own = differentiated(self.function, jet.value[:, :d], jet.value[:, d:], seconds=size)
+        value, slopes, bends = own.value, own.first, own.second
+        first, second = None, None
+        if jet.order > 0:
+            first = torch.einsum("na,nia->ni", slopes, jet.first)
+        if jet.order > 1:
+            du = jet.gradient
+            second = torch.einsum("na,nija->nij", slopes, jet.second)
+            second = second + torch.einsum("nab,nia,njb->nij", bends, du, du)
+        return Jet(value, first, second, jet.space)
+
+
+class Product(Field):
+    """The field f g."""
+
+    def __init__(self, left: Field, right: Field) -> None:
+        super().__init__()
+        self.left, self.right = left, right
+        self.space, self.times = left.space, left.times
+
+    def push(self, jet: Jet) -> Jet:
+        return self.left.push(jet) * self.right.push(jet)
+
+
+class Wave(Map):
+    """The map x -> A x + b + c sin(B (x, t)) of space, which may depend on time."""
+
+    def __init__(self, space: int, times: int = 0) -> None:
+        super().__init__()
+        generator = torch.Generator().manual_seed(7)
+        self.space, self.times = space, times
+        draw = lambda *shape: torch.randn(*shape, generator=generator, dtype=torch.float64) / 3  # noqa: E731
+        self.linear = nn.Parameter(torch.cat([torch.eye(space) + draw(space, space), draw(space, times)], dim=1))
+        self.shift = nn.Parameter(draw(space))
+        self.waves = nn.Parameter(draw(space, space + times))
+
+    def push(self, jet: Jet) -> Jet:
+        waves = jet.affine(self.waves).pointwise(_sine).affine(0.2 * torch.eye(self.space, dtype=torch.float64))
+        return jet.affine(self.linear, self.shift) + waves
+
+
+def differentiated(
+    field: Callable[[Tensor, Tensor], Tensor], x: Tensor, t: Tensor, *, seconds: int | None = None
+) -> Jet:
+    """The jet of a function of points and times, by nested automatic differentiation: the oracle.
+
+    The second derivatives are those in the first `seconds` coordinates, by default those of space.
+    """
+    d = x.shape[1]
+    z = torch.cat([x, t], dim=1)
+    z = z if z.requires_grad else z.detach().requires_grad_()
+    value = field(z[:, :d], z[:, d:])
+    first = _derivatives(value, z)
+    m = d if seconds is None else seconds
+    rows = [_derivatives(first[:, i], z)[:, :m] for i in range(m)]
+    return Jet(value, first, torch.stack(rows, dim=1) if rows else None, d)
+
+
+def points(field: Field, n: int = 30) -> tuple[Tensor, Tensor]:
+    """Points and times in the box of a field, or in [-1, 1]."""
+    generator = torch.Generator().manual_seed(1)
+    box = field.box or Box((-1,) * field.space, (1,) * field.space).during(*[(-1, 1)] * field.times)
+    return box.uniform(n, generator=generator), box.uniform_times(n, generator=generator)
+
+
+def siren(space: int, time: int = 0, *, depth: int = 2, width: int = 16, omega: float = 5.0, seed: int = 0) -> SIREN:
+    """A small network in float64."""
+    generator = torch.Generator().manual_seed(seed)
+    return SIREN(space, time, width=width, depth=depth, omega=omega, generator=generator, dtype=torch.float64)
+
+
+def placed(space: int, time: int = 0) -> Placed:
+    """A small network in units that are not those of the network."""
+    box = Box((1.0, -2.0, 3.0)[:space], (4.0, 3.0, 7.0)[:space], ((2.0, 5.0), (-1.0, 0.5))[:time])
+    return Placed(siren(space, time), box)
+
+
+def round_field(x: Tensor, t: Tensor) -> Tensor:
+    return (x * x).sum(1) * (1 + t.sum(1)) + torch.sin(x[:, 0]) - 0.3
+
+
+FIELDS: dict[str, Field] = {
+    **{f"SIREN of {d} and {k}": siren(d, k) for d in (2, 3) for k in (0, 1, 2)},
+    "SIREN of one layer": siren(2, 1, depth=1),
+    "deep SIREN": siren(2, 1, depth=4),
+    "lifted SIREN": lift(siren(2)),
+    "wider lifted SIREN": lift(siren(3), time=2, width=24),
+    "SIREN at a time": siren(2, 1).at(0.3),
+    "slice": Slice(siren(2, 2), (0.3, -0.5)),
+    "placed in the plane": placed(2),
+    "placed in space-time": placed(2, 1),
+    "placed with two parameters": placed(3, 2),
+    "placed at a time": placed(2, 1).at(4.0),
+    "slice of a placed": Slice(placed(3, 1), (4.0,)),
+    "deformed": Deformed(siren(2), Wave(2)),
+    "deformed in time": Deformed(siren(3), Wave(3, 1)),
+    "deformed, placed": Deformed(placed(2), Wave(2)),
+    "sum": Sum(siren(2, 1), siren(2, 1, seed=1), placed(2, 1)),
+    "product": Product(siren(3, 1), placed(3, 1)),
+    "formula": Explicit(round_field, 2, 1),
+    "slice of a sum of products": Slice(Sum(Product(siren(2, 1), placed(2, 1)), Explicit(round_field, 2, 1)), (0.4,)),
+    "placed sum of deformed": Placed(Sum(Deformed(siren(2), Wave(2)), siren(2, seed=2)), Box((3, 4), (5, 5))),
+}
+"""A field of every kind; a kind that is listed here is tested."""
+
+
+def _sine(u: Tensor, order: int) -> tuple[Tensor, ...]:
+    return (torch.sin(u), torch.cos(u), -torch.sin(u))[: order + 1]
+
+
+def _derivatives(values: Tensor, z: Tensor) -> Tensor:
+    if not values.requires_grad:
+        return torch.zeros_like(z)
+    return torch.autograd.grad(values.sum(), z, create_graph=True, materialize_grads=True)[0]

@@ -1,0 +1,162 @@
+"""Fields made of other fields, and the units they are in."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from levelflow.boxes import Box
+from levelflow.fields import Deformed, Placed, Slice, Sum
+from levelflow.networks.siren import SIREN
+from levelflow.shapes.implicit import Implicit
+from tests.fields import FIELDS, Explicit, Product, Wave, placed, points, round_field, siren
+
+
+def test_a_slice_has_the_values_of_the_field_at_that_time() -> None:
+    for field, t in ((siren(2, 1), (0.3,)), (siren(3, 2), (0.3, -0.5)), (placed(2, 1), (4.0,)), (placed(3, 2), (3, 0))):
+        x, times = points(field)
+        exact = field(x, times.new_tensor(t).expand_as(times))
+        assert torch.allclose(Slice(field, t)(x), exact, rtol=0, atol=1e-12)
+        assert torch.allclose(field.at(*t)(x), exact, rtol=0, atol=1e-12)
+
+
+def test_a_field_at_a_time_is_static_and_has_the_box_in_space() -> None:
+    field = placed(2, 1)
+    formula = Explicit(round_field, 2, 1, box=field.box)
+    for sliced in (field.at(3.0), formula.at(3.0), Slice(field, (3.0,))):
+        assert sliced.times == 0
+        assert sliced.box == field.box.during()
+    assert isinstance(formula.at(3.0), Slice)
+
+
+def test_deforming_composes_with_the_map(generator: torch.Generator) -> None:
+    x = torch.rand(20, 2, generator=generator, dtype=torch.float64)
+    t = torch.rand(20, 1, generator=generator, dtype=torch.float64)
+    field, still, moving = placed(2), Wave(2), Wave(2, 1)
+    assert torch.allclose(Deformed(field, still)(x), field(still(x)), rtol=0, atol=1e-12)
+    assert torch.allclose(Deformed(field, moving)(x, t), field(moving(x, t)), rtol=0, atol=1e-12)
+
+
+def test_a_deformed_field_can_be_taken_at_any_time(generator: torch.Generator) -> None:
+    x = torch.rand(20, 2, generator=generator, dtype=torch.float64)
+    field = Deformed(placed(2), Wave(2, 1))
+    assert torch.equal(field.at(0.3)(x), field(x, torch.full((20, 1), 0.3, dtype=torch.float64)))
+
+
+def test_a_sum_adds_values() -> None:
+    parts = siren(2, 1), siren(2, 1, seed=1), placed(2, 1)
+    x, t = points(parts[0])
+    assert torch.allclose(Sum(*parts)(x, t), sum(part(x, t) for part in parts), rtol=0, atol=1e-12)
+
+
+def test_placing_keeps_a_distance_a_distance(generator: torch.Generator) -> None:
+    circle = Explicit(lambda x, t: x.norm(dim=1) - 0.5, 2)
+    field = Placed(circle, Box((8, 9), (12, 11)))
+    x = field.box.uniform(50, generator=generator)
+    exact = (x - torch.tensor([10.0, 10.0])).norm(dim=1) - 1.0
+    assert torch.allclose(field(x), exact, rtol=0, atol=1e-12)
+    assert torch.allclose(field.jet(x).gradient.norm(dim=1), torch.ones(50, dtype=x.dtype), rtol=0, atol=1e-12)
+
+
+def test_times_are_brought_to_the_interval_from_minus_one_to_one() -> None:
+    field = placed(2, 2)
+    t = torch.tensor([[2.0, -1.0], [3.5, -0.25], [5.0, 0.5]], dtype=torch.float64)
+    assert field.unit_times(t).tolist() == [[-1, -1], [0, 0], [1, 1]]
+    assert torch.allclose(field.times_in_units(field.unit_times(t)), t)
+    instant = Placed(siren(2, 1), Box((0, 0), (1, 1), ((3, 3),)))
+    assert instant.unit_times(torch.tensor([[3.0]])).tolist() == [[0.0]]
+
+
+def test_a_field_far_from_the_origin_has_the_same_bits_as_at_the_origin() -> None:
+    network = SIREN(2, 1, width=16)
+    here = Placed(network, Box((-1, -2), (1, 2), ((0, 4),)))
+    there = Placed(network, Box((1e6 - 1, -3e6 - 2), (1e6 + 1, -3e6 + 2), ((0, 4),)))
+    grid = torch.linspace(-1, 1, 129, dtype=torch.float64)
+    x = torch.stack([grid, grid.flip(0)], dim=1)
+    far = x + torch.tensor([1e6, -3e6], dtype=torch.float64)
+    t = torch.full((129, 1), 1.5, dtype=torch.float64)
+    near, away = here.jet(x, t, order=2), there.jet(far, t, order=2)
+    assert near.value.dtype == torch.float32
+    for part in ("value", "first", "second"):
+        assert torch.equal(getattr(near, part), getattr(away, part))
+    assert torch.equal(here(x, t), there(far, t))
+    assert torch.equal(here.at(1.5)(x), there.at(1.5)(far))
+
+
+def test_fields_made_of_placed_float32_networks_take_points_in_float64(generator: torch.Generator) -> None:
+    box = Box((1e6, 0), (1e6 + 2, 2))
+    one, other = (Placed(SIREN(2, width=16, generator=torch.Generator().manual_seed(i)), box) for i in range(2))
+    x = box.uniform(50, generator=generator)
+    assert torch.allclose(Sum(one, other)(x), one(x) + other(x), rtol=0, atol=1e-6)
+    assert torch.allclose(Sum(one, other).jet(x).gradient, one.jet(x).gradient + other.jet(x).gradient, atol=1e-5)
+    assert Implicit(Sum(one, other), box=box).gap(x).shape == (50,)
+
+
+def test_the_end_of_the_interval_is_in_it_though_rounding_moves_it() -> None:
+    field = placed(2, 1)
+    field.at(5.0 + 1e-10)
+    field.at(2.0 - 1e-10)
+
+
+@pytest.mark.parametrize("t", [1.9, 5.1, float("nan")])
+def test_a_time_outside_the_interval_is_refused(t: float) -> None:
+    for field in (placed(2, 1), Explicit(round_field, 2, 1, box=placed(2, 1).box)):
+        with pytest.raises(
+            ValueError, match=rf"at\({t:g}\): the field was solved for times from 2 to 5; ask for a time"
+        ):
+            field.at(t)
+
+
+def test_as_many_times_are_given_as_the_field_has() -> None:
+    for field in (siren(2, 1), placed(2, 1), Explicit(round_field, 2, 1)):
+        with pytest.raises(ValueError, match=r"at\(0.1, 0.2\): this field depends on 1 time\(s\)"):
+            field.at(0.1, 0.2)
+    with pytest.raises(ValueError, match=r"at\(0.1,\): this field depends on 0 time\(s\)"):
+        siren(2).at(0.1)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("name", FIELDS)
+def test_points_and_times_of_another_shape_are_refused_by_every_field(name: str) -> None:
+    field = FIELDS[name]
+    x, t = points(field, 5)
+    for call in (field, field.jet):
+        with pytest.raises(ValueError, match=rf"points have shape \(5, {field.space + 1}\); give \(n, {field.space}\)"):
+            call(torch.cat([x, x[:, :1]], dim=1), t)
+        with pytest.raises(ValueError, match=rf"points have shape \({field.space},\); give \(n, {field.space}\)"):
+            call(x[0], t)
+        with pytest.raises(ValueError, match=rf"times have shape \(4, {field.times}\); give \(5, {field.times}\)"):
+            call(x, t[:4])
+        if field.times:
+            with pytest.raises(
+                ValueError, match=rf"depends on {field.times} .* give t with shape \(5, {field.times}\)"
+            ):
+                call(x)
+
+
+def test_a_map_and_a_field_of_different_spaces_do_not_compose() -> None:
+    with pytest.raises(ValueError, match=r"a field on R\^2 with 0 times cannot follow a map on R\^3"):
+        Deformed(siren(2), Wave(3))
+    with pytest.raises(ValueError, match=r"a field on R\^2 with 1 times cannot follow a map on R\^2"):
+        Deformed(siren(2, 1), Wave(2))
+
+
+def test_fields_of_different_kinds_do_not_add() -> None:
+    with pytest.raises(
+        ValueError, match=r"different \(space, times\): \[\(2, 0\), \(2, 1\)\]; give fields of one kind"
+    ):
+        Sum(siren(2), siren(2, 1))
+
+
+def test_a_field_and_its_box_have_the_same_coordinates() -> None:
+    with pytest.raises(
+        ValueError, match="the field has 2 space and 1 time coordinates, the box 2 and 0; they must agree"
+    ):
+        Placed(siren(2, 1), Box((0, 0), (1, 1)))
+
+
+def test_the_dtype_and_device_of_a_placed_field_are_those_of_its_weights() -> None:
+    field = placed(2)
+    assert (field.dtype, field.device) == (torch.float64, torch.device("cpu"))
+    assert field.provenance == {}
+    assert Placed(Product(siren(2), siren(2)), Box((0, 0), (1, 1))).dtype == torch.float64

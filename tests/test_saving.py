@@ -1,0 +1,122 @@
+import json
+
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from levelflow import SIREN, Box, Sphere, load, save
+from levelflow.fields import Placed, Sum
+from levelflow.saving import describe, load_checkpoint, save_checkpoint
+
+BOX = Box((-3.0, 1.0, 0.0), (5.0, 2.0, 4.0), ((-0.5, 2.0),))
+
+
+def placed(**more):
+    field = Placed(SIREN(3, 1, width=8, depth=2, **more), BOX)
+    field.provenance = {"verb": "solve", "seed": 3}
+    return field
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_field_comes_back_with_its_values_box_and_provenance(tmp_path, generator, dtype):
+    field = placed(omega=7.0, dtype=dtype)
+    save(field, tmp_path / "f.safetensors")
+    again = load(tmp_path / "f.safetensors")
+    x, t = BOX.uniform(50, generator=generator), BOX.uniform_times(50, generator=generator)
+    assert torch.equal(field(x, t), again(x, t))
+    assert again.box == BOX and again.provenance == field.provenance
+
+
+def test_a_slice_is_saved_like_any_field(tmp_path, generator):
+    field = placed().at(1.0)
+    save(field, tmp_path / "f.safetensors")
+    x = BOX.uniform(50, generator=generator)
+    assert torch.equal(field(x), load(tmp_path / "f.safetensors")(x))
+
+
+def test_the_same_field_gives_the_same_bytes(tmp_path):
+    for name in ("a.safetensors", "b.safetensors"):
+        save(placed(), tmp_path / name)
+    assert (tmp_path / "a.safetensors").read_bytes() == (tmp_path / "b.safetensors").read_bytes()
+
+
+def test_a_truncated_file_is_named(tmp_path):
+    path = tmp_path / "f.safetensors"
+    save(placed(), path)
+    for part in (0, 4, 100, len(path.read_bytes()) - 1):
+        (tmp_path / "cut.safetensors").write_bytes(path.read_bytes()[:part])
+        with pytest.raises(ValueError, match=r"cut.safetensors.*is not a field"):
+            load(tmp_path / "cut.safetensors")
+
+
+def test_a_foreign_file_is_named(tmp_path):
+    save_file({"w": torch.zeros(3)}, tmp_path / "other.safetensors")
+    with pytest.raises(ValueError, match="of another program"):
+        load(tmp_path / "other.safetensors")
+
+
+def test_a_missing_file_and_a_folder_are_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match="there is no file"):
+        load(tmp_path / "none.safetensors")
+    with pytest.raises(ValueError, match="is a folder"):
+        load(tmp_path)
+
+
+def header(**changes):
+    made = {
+        "format": 1, "version": "0.1.0", "kind": "field", "provenance": {},
+        "network": {"type": "SIREN", "space": 3, "time": 1, "width": 8, "depth": 2, "omega": 10.0},
+        "box": {"lower": BOX.lower, "upper": BOX.upper, "times": BOX.times},
+    }  # fmt: skip
+    return {"levelflow": json.dumps(made | changes)}
+
+
+def test_a_header_that_does_not_describe_its_content_is_refused(tmp_path):
+    tensors = SIREN(3, 1, width=8, depth=2).state_dict()
+    path = tmp_path / "f.safetensors"
+    for changes, message in (
+        ({"network": {"type": "Other"}}, "does not know"),
+        ({"box": {}}, "does not describe its content"),
+        ({"network": json.loads(header()["levelflow"])["network"] | {"width": 9}}, "does not describe its content"),
+        ({"format": 2, "version": "9.0"}, "newer than"),
+        ({"kind": "checkpoint"}, "holds a checkpoint, not a field"),
+    ):
+        save_file(tensors, path, metadata=header(**changes))
+        with pytest.raises(ValueError, match=message):
+            load(path)
+    save_file(tensors, path, metadata=header())
+    assert load(path).box == BOX
+
+
+def test_only_fields_of_networks_are_saved(unchecked, tmp_path):
+    with pytest.raises(TypeError, match="cannot write a Sum"):
+        save(Sum(SIREN(width=4), SIREN(width=4)), tmp_path / "f.safetensors")
+
+
+def test_a_checkpoint_is_only_resumed_with_its_own_settings(tmp_path):
+    path, settings = tmp_path / "c.safetensors", {"seed": 0, "times": (0.0, 1.0)}
+    save_checkpoint(path, {"parameter.0": torch.ones(2)}, settings)
+    assert torch.equal(load_checkpoint(path, settings)["parameter.0"], torch.ones(2))
+    assert describe(path)["settings"] == {"seed": 0, "times": [0.0, 1.0]}
+    with pytest.raises(ValueError, match="seed was 0 and is 1"):
+        load_checkpoint(path, settings | {"seed": 1})
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "f.safetensors"
+    save(placed(), path)
+    old = path.read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(OSError, match="No space left"):
+        save(placed(omega=3.0), path)
+    assert path.read_bytes() == old
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_shape_is_not_a_field(unchecked, tmp_path):
+    with pytest.raises(TypeError, match="cannot write a Sphere"):
+        save(Sphere(1.0), tmp_path / "f.safetensors")

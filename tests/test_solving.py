@@ -1,0 +1,161 @@
+"""Two-dimensional evolutions against their exact solutions; the three-dimensional ones are in benchmarks/exact.py."""
+
+import math
+
+import pytest
+import torch
+
+from levelflow import SIREN, Box, Budget, Circle, Divergence, Rectangle, Sampling, equations, fit, solve
+from levelflow.shapes.cloud import PointCloud
+from levelflow.shapes.implicit import Implicit
+
+QUICK = {"budget": Budget(steps=250), "sampling": Sampling(n=1024, given=20_000)}
+
+
+def network(**more):
+    return SIREN(2, 1, width=32, depth=2, **more)
+
+
+def radii(field, t, generator, center=(0.0, 0.0)):
+    points = Implicit(field.at(t)).sample(500, generator=generator).points
+    return torch.linalg.vector_norm(points - torch.tensor(center, dtype=points.dtype), dim=1)
+
+
+def test_a_circle_shrinks_by_its_curvature(generator):
+    field = solve(equations.MeanCurvature(0.1), network(), at={0.0: Circle(0.5)}, until=0.8, **QUICK)
+    for t in (0.0, 0.4, 0.8):
+        exact = math.sqrt(0.25 - 0.2 * t)
+        assert (radii(field, t, generator) - exact).abs().max() < 0.005
+
+
+def test_backwards_in_time_it_grows(generator):
+    field = solve(equations.MeanCurvature(0.1), network(), at={0.0: Circle(0.5)}, until=-0.2, **QUICK)
+    assert (radii(field, -0.2, generator) - math.sqrt(0.25 + 0.04)).abs().max() < 0.005
+
+
+def test_units_do_not_matter(generator):
+    """A circle a thousand times as large, far away, with rate and times to match, has the same radii."""
+    center = (5e4, -2e4)
+    shape = Circle(500.0, center=center)
+    field = solve(equations.MeanCurvature(1e5 / 4), network(), at={2.0: shape}, until=5.2, **QUICK)
+    for t in (2.0, 5.2):
+        exact = 1000 * math.sqrt(0.25 - 0.2 * (t - 2) / 4)
+        assert (radii(field, t, generator, center) - exact).abs().max() < 5
+
+
+def test_a_rotated_rectangle_is_where_characteristics_bring_it(generator):
+    shape, motion = Rectangle((0.8, 0.4), radius=0.1), equations.Transport(equations.Rotation(1.0))
+    field = solve(motion, network(), at={0.0: shape}, until=1.0, **QUICK)
+    points = Implicit(field.at(1.0)).sample(500, generator=generator).points
+    back = motion.carry(points, torch.ones(500).double(), torch.zeros(500).double())
+    assert shape.distance(back).abs().mean() < 0.006
+
+
+def test_the_box_holds_the_whole_motion():
+    field = solve(
+        equations.Transport((3.0, 0.0)), network(), at={0.0: Circle(0.5)}, until=1.0, budget=Budget(steps=1),
+        sampling=Sampling(n=64, given=1000),
+    )  # fmt: skip
+    assert field.box.lower[0] < -0.5 and field.box.upper[0] > 3.5
+    assert field.box.times == ((0.0, 1.0),)
+
+
+def test_a_morph_of_concentric_circles_is_linear_in_time(generator):
+    field = solve(equations.Morph(Circle(0.6)), network(), at={0.0: Circle(0.4), 1.0: Circle(0.6)}, **QUICK)
+    for t in (0.0, 0.25, 0.5, 0.75, 1.0):
+        assert (radii(field, t, generator) - 0.4 - 0.2 * t).abs().max() < 0.008
+
+
+def test_a_morph_passes_through_all_of_its_keyframes(generator):
+    targets = {0.5: Circle(0.6), 1.0: Circle(0.3)}
+    field = solve(equations.Morph(targets), network(), at={0.0: Circle(0.4), **targets}, **QUICK)
+    for t, radius in ((0.0, 0.4), (0.5, 0.6), (1.0, 0.3)):
+        assert (radii(field, t, generator) - radius).abs().mean() < 0.008
+    assert (radii(field, 0.25, generator) - 0.5).abs().mean() < 0.03
+
+
+def test_motions_add_up(generator):
+    motion = equations.Transport((0.5, 0.0)) + equations.MeanCurvature(0.1)
+    field = solve(motion, network(), at={0.0: Circle(0.5)}, until=0.5, box=Box((-0.8, -0.8), (1.0, 0.8)), **QUICK)
+    assert (radii(field, 0.5, generator, (0.25, 0.0)) - math.sqrt(0.15)).abs().max() < 0.008
+
+
+def test_it_starts_from_a_fitted_field(generator):
+    shape = Circle(0.5)
+    start = fit(SIREN(2, width=32, depth=2), shape, **QUICK)
+    field = solve(
+        equations.MeanCurvature(0.1), network(), at={0.0: start}, until=0.4, start=start,
+        budget=Budget(steps=120), sampling=QUICK["sampling"],
+    )  # fmt: skip
+    assert (radii(field, 0.0, generator) - 0.5).abs().max() < 0.005
+    assert (radii(field, 0.4, generator) - math.sqrt(0.17)).abs().max() < 0.008
+    assert field.provenance["accuracy"]["0"]["mean"] < 0.003
+
+
+def test_a_point_cloud_is_enough(generator):
+    points, _ = Circle(0.5).sample(400, generator=generator)
+    field = solve(equations.MeanCurvature(0.1), network(), at={0.0: PointCloud(points.numpy())}, until=0.4, **QUICK)
+    assert (radii(field, 0.0, generator) - 0.5).abs().max() < 0.01
+    assert (radii(field, 0.4, generator) - math.sqrt(0.17)).abs().max() < 0.01
+
+
+def test_the_same_seed_gives_the_same_bits_and_an_interrupted_run_ends_the_same():
+    states = []
+
+    def keep(progress):
+        if progress.step == 20:
+            states.append(progress.state())
+
+    problem = (equations.MeanCurvature(0.1), network())
+    given = {"at": {0.0: Circle(0.5)}, "until": 0.5}
+    short = {"budget": Budget(steps=40), "sampling": Sampling(n=256, given=2000), "seed": 5}
+    once = solve(*problem, **given, **short, on_step=keep)
+    again = solve(*problem, **given, **short)
+    resumed = solve(*problem, **given, **short, state=states[0])
+    other = solve(*problem, **given, **{**short, "seed": 6})
+    for a, b, c in zip(once.parameters(), again.parameters(), resumed.parameters(), strict=True):
+        assert torch.equal(a, b) and torch.equal(a, c)
+    assert any(not torch.equal(a, b) for a, b in zip(once.parameters(), other.parameters(), strict=True))
+
+
+def test_the_given_network_is_not_changed():
+    mine = network()
+    before = [p.clone() for p in mine.parameters()]
+    solve(equations.Stationary(), mine, at={0.0: Circle(0.5)}, until=1.0, budget=Budget(steps=2))
+    assert all(torch.equal(a, b) for a, b in zip(before, mine.parameters(), strict=True))
+
+
+def test_divergence_stops_with_the_last_good_field():
+    class Mad(equations.LevelSetEquation):
+        def speed(self, x, t, jet):
+            return jet.value * float("nan")
+
+    with pytest.raises(Divergence, match="diverged at step") as caught:
+        solve(Mad(), network(), at={0.0: Circle(0.5)}, until=1.0, budget=Budget(steps=9), warm_up=0.0)
+    assert all(torch.isfinite(p).all() for p in caught.value.field.parameters())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"at": {}}, "at least one shape"),
+        ({"at": {0.0: Circle(1.0)}}, "say how far to go"),
+        ({"at": {0.0: Circle(1.0)}, "until": math.nan}, "finite numbers"),
+        ({"at": {0.0: Circle(1.0)}, "until": 1.0, "warm_up": 1.0}, "warm_up=1"),
+        ({"at": {0.0: Circle(1.0)}, "until": 1.0, "network": SIREN(2)}, "network has 0 times"),
+    ],
+)
+def test_wrong_use_is_explained(unchecked, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        solve(equations.Stationary(), arguments.pop("network", network()), **arguments)
+
+
+def test_a_start_that_does_not_fit_is_explained():
+    shape, quick = Circle(0.5), {"budget": Budget(steps=1), "sampling": Sampling(n=64, given=500)}
+    problem = {"at": {0.0: shape}, "until": 1.0, **quick}
+    with pytest.raises(ValueError, match="depth of the network"):
+        solve(equations.Stationary(), network(), start=fit(SIREN(2, width=8, depth=3), shape, **quick), **problem)
+    with pytest.warns(UserWarning, match="has vanished or lies outside"):
+        elsewhere = fit(SIREN(2, width=8, depth=2), Circle(0.7), **quick)
+    with pytest.raises(ValueError, match="the field to start from lies in"):
+        solve(equations.Stationary(), network(), start=elsewhere, box=Box((-9.0, -9.0), (9.0, 9.0)), **problem)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import torch
 from jaxtyping import Float
@@ -197,4 +198,20 @@ def _weighted_squares(weights: Float[Tensor, "n m"], planes: Tensor) -> Float[Te
     if planes.ndim == 2:
         d = planes.shape[0]
         return (weights @ (planes[:, None] * planes[None]).reshape(d * d, -1).T).reshape(-1, d, d)
-    return (weights[:, None] * planes) @ planes.transpose(1, 2)
+    return cast(Tensor, _WeightedSquares.apply(weights, planes))
+
+
+class _WeightedSquares(torch.autograd.Function):
+    """P diag(w) P^T for each point, with a backward pass that uses its symmetry: one small product instead of three."""
+
+    @staticmethod
+    def forward(ctx: Any, weights: Tensor, planes: Tensor) -> Tensor:
+        ctx.save_for_backward(weights, planes)
+        return (weights[:, None] * planes) @ planes.transpose(1, 2)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor]:
+        (gradient,) = gradients
+        weights, planes = ctx.saved_tensors
+        turned = (gradient + gradient.transpose(1, 2)) @ planes
+        return (turned * planes).sum(1) / 2, turned * weights[:, None]

@@ -108,6 +108,7 @@ def minimise(
     budget: Budget,
     generator: torch.Generator,
     rate: float = 3e-3,
+    optimiser: Callable[..., torch.optim.Optimizer] = SOAP,
     chunk: int | None = None,
     on_step: Callable[[Progress], None] | None = None,
     state: Mapping[str, Tensor] | None = None,
@@ -123,6 +124,7 @@ def minimise(
         budget: Steps or seconds.
         generator: Source of every sample.
         rate: The largest learning rate; it decays to a hundredth of it.
+        optimiser: What takes the steps, made from the parameters and `lr`.
         chunk: Samples worked on at once; all of them on a GPU and 1024 on a CPU if left out.
         on_step: Called after each step.
         state: Where to go on from, as returned by `Progress.state`.
@@ -135,19 +137,19 @@ def minimise(
     if not parameters:
         raise ValueError("minimise: none of the parameters requires a gradient; there is nothing to optimise.")
     chunk = chunk or (1024 if parameters[0].device.type == "cpu" else 1 << 20)
-    soap = SOAP(parameters, lr=rate)
+    descent = optimiser(parameters, lr=rate)
     progress = Progress()
     if state is not None:
-        _restore(state, parameters, soap, terms, generator, progress)
+        _restore(state, parameters, descent, terms, generator, progress)
     good = [p.detach().clone() for p in parameters]
-    progress._state = lambda: _state(parameters, soap, terms, generator, progress)
+    progress._state = lambda: _state(parameters, descent, terms, generator, progress)
     before, started = progress.seconds, time.perf_counter()
 
     progress.spent = budget.spent(progress.step, progress.seconds)
     while progress.spent < 1:
-        for group in soap.param_groups:
+        for group in descent.param_groups:
             group["lr"] = rate * _schedule(progress.step, progress.spent)
-        soap.zero_grad(set_to_none=True)
+        descent.zero_grad(set_to_none=True)
         for term in terms:
             if not getattr(term, "since", 0.0) <= progress.spent < getattr(term, "until", 1.0):
                 progress.losses.pop(term.name, None)
@@ -166,7 +168,7 @@ def minimise(
             progress.losses[term.name] = memory + 0.02 * (loss - memory)
         if progress.step % 100 == 0:
             good = [p.detach().clone() for p in parameters]
-        soap.step()
+        descent.step()
         progress.step += 1
         progress.seconds = before + time.perf_counter() - started
         progress.spent = budget.spent(progress.step, progress.seconds)
@@ -197,7 +199,7 @@ def _schedule(step: int, spent: float) -> float:
 
 def _state(
     parameters: Sequence[nn.Parameter],
-    optimiser: SOAP,
+    descent: torch.optim.Optimizer,
     terms: Sequence[Term],
     generator: torch.Generator,
     progress: Progress,
@@ -208,7 +210,7 @@ def _state(
     }
     for i, p in enumerate(parameters):
         state[f"parameter.{i}"] = p.detach().clone()
-        for name, value in optimiser.state.get(p, {}).items():
+        for name, value in descent.state.get(p, {}).items():
             state[f"optimiser.{i}.{name}"] = value.detach().clone()
     for i, term in enumerate(terms):
         for name, value in getattr(term, "memory", {}).items():
@@ -219,7 +221,7 @@ def _state(
 def _restore(
     state: Mapping[str, Tensor],
     parameters: Sequence[nn.Parameter],
-    optimiser: SOAP,
+    descent: torch.optim.Optimizer,
     terms: Sequence[Term],
     generator: torch.Generator,
     progress: Progress,
@@ -230,7 +232,7 @@ def _restore(
         for i, p in enumerate(parameters):
             p.copy_(state[f"parameter.{i}"])
             prefix = f"optimiser.{i}."
-            optimiser.state[p] = {
+            descent.state[p] = {
                 name.removeprefix(prefix): value.clone() if name.endswith(".step") else value.to(p.device).clone()
                 for name, value in state.items()
                 if name.startswith(prefix)

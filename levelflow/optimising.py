@@ -16,8 +16,8 @@ class SOAP(torch.optim.Optimizer):
     moments of Adam are those of $U^\top G V$, and its step is turned back. The bases follow the means by one step of
     orthogonal iteration every `every` steps. Biases take plain Adam steps.
 
-    On space-time fields it is worth its cost: for a matrix of 128 x 128 that is a fiftieth of a training step, and a
-    given surface error is reached in several times fewer steps than by Adam (`benchmarks/optimisers.py`).
+    On fields it reaches a surface error in fewer steps than Adam, for a small part of the cost of a step
+    (`benchmarks/optimisers.py`).
 
     Args:
         parameters: What is optimised.

@@ -245,7 +245,7 @@ def test_a_loss_that_is_no_number_brings_back_the_last_good_state(loss: float) -
 
     term = Scripted(p, lambda step: 1.0 if step <= 130 else loss)
     with pytest.raises(
-        Divergence, match=r"diverged at step 131: the loss of 'scripted' is (nan|-inf)\. .*last good state"
+        Divergence, match=r"diverged at step 131: the loss of 'scripted' is (nan|-inf), no number\. .*last good state"
     ):
         minimise([p], [term], budget=Budget(steps=300), generator=seeded(), on_step=note)
     assert torch.equal(p, hundredth[0]) and (p != 0).all()

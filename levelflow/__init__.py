@@ -14,7 +14,9 @@ from levelflow._version import __version__
 _HOMES = {
     "Box": "boxes",
     "Budget": "minimising",
+    "Bar": "progress",
     "Capsule": "shapes",
+    "Checkpoint": "saving",
     "Circle": "shapes",
     "Cuboid": "shapes",
     "Cylinder": "shapes",
@@ -62,8 +64,9 @@ if TYPE_CHECKING:
     from levelflow.minimising import Budget, Divergence
     from levelflow.networks.lifting import lift
     from levelflow.networks.siren import SIREN
+    from levelflow.progress import Bar
     from levelflow.rendering.images import contact_sheet
-    from levelflow.saving import load, save
+    from levelflow.saving import Checkpoint, load, save
     from levelflow.shapes import (
         Capsule,
         Circle,

@@ -128,7 +128,6 @@ class Deformed(Field):
             )
         self.field, self.deformation = field, deformation
         self.space, self.times = deformation.space, deformation.times
-        self.box = field.box
 
     def push(self, jet: Jet) -> Jet:
         return self.field.push(self.deformation.push(jet))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from torch import Tensor
 from levelflow._version import __version__
 from levelflow.boxes import Box
 from levelflow.fields import Placed
+from levelflow.minimising import Progress
 from levelflow.networks.siren import SIREN
 from levelflow.shapes.writing import replace_file
 
@@ -75,31 +77,59 @@ def load(path: str | Path) -> Placed:
     return field
 
 
-def save_checkpoint(path: str | Path, state: Mapping[str, Tensor], settings: Mapping[str, Any]) -> None:
-    """Writes the state of a run (`Progress.state`) with its settings, whole or not at all."""
-    tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
-    _write(path, tensors, {"kind": "checkpoint", "settings": dict(settings)})
+class Checkpoint:
+    """Keeps an interrupted run: saves its state every few seconds, and knows it the next time.
 
+        kept = Checkpoint("run.safetensors")
+        field = solve(..., on_step=kept, state=kept.state)
+        kept.remove()
 
-def load_checkpoint(path: str | Path, settings: Mapping[str, Any]) -> dict[str, Tensor]:
-    """Reads the state of a run that had the given settings.
+    Run again after an interruption, this goes on where the last save was. A save appears whole or not at all, so a run
+    may be killed at any moment.
 
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it is not a checkpoint, or the settings differ; the message says which.
+    Args:
+        path: The file of the state, a safetensors file.
+        settings: What a run must have in common with the one that it goes on with; plain values under string keys.
+        seconds: The time between saves.
     """
-    path = Path(path)
-    tensors, header = _read(path, kind="checkpoint")
-    asked = json.loads(json.dumps(dict(settings)))
-    made = header.get("settings", {})
-    changed = sorted(name for name in {*asked, *made} if asked.get(name) != made.get(name))
-    if changed:
-        differences = "; ".join(f"{name} was {made.get(name)!r} and is {asked.get(name)!r}" for name in changed)
-        raise ValueError(
-            f"{path}: the interrupted run had other settings ({differences}). Repeat its command with --resume, "
-            "or start afresh without it."
-        )
-    return tensors
+
+    def __init__(self, path: str | Path, *, settings: Mapping[str, Any] | None = None, seconds: float = 5.0) -> None:
+        self.path, self.seconds = Path(path), seconds
+        self._settings = json.loads(json.dumps(dict(settings or {})))
+        self._saved = time.perf_counter()
+
+    @property
+    def state(self) -> dict[str, Tensor] | None:
+        """The state that was saved last, or None if there is none.
+
+        Raises:
+            ValueError: If the file is not a checkpoint, or was made with other settings; the message says which.
+        """
+        if not self.path.exists():
+            return None
+        tensors, header = _read(self.path, kind="checkpoint")
+        made = header.get("settings", {})
+        changed = sorted(name for name in {*self._settings, *made} if self._settings.get(name) != made.get(name))
+        if changed:
+            differences = "; ".join(
+                f"{name} was {made.get(name)!r} and is {self._settings.get(name)!r}" for name in changed
+            )
+            raise ValueError(
+                f"{self.path}: the interrupted run had other settings ({differences}). Repeat it with its own, "
+                "or remove the file to start afresh."
+            )
+        return tensors
+
+    def __call__(self, progress: Progress) -> None:
+        """Saves the state if it is time; for `on_step`."""
+        if time.perf_counter() - self._saved >= self.seconds:
+            tensors = {name: value.detach().cpu().contiguous() for name, value in progress.state().items()}
+            _write(self.path, tensors, {"kind": "checkpoint", "settings": self._settings})
+            self._saved = time.perf_counter()
+
+    def remove(self) -> None:
+        """Removes the file, when the result is safe."""
+        self.path.unlink(missing_ok=True)
 
 
 def describe(path: str | Path) -> dict[str, Any]:

@@ -43,4 +43,4 @@ def test_a_real_mesh_is_read_fitted_and_extracted_in_its_own_units(meshes, name)
     assert np.allclose(surface.box.lower, mesh.box.lower, atol=0.06 * size)
     assert np.allclose(surface.box.upper, mesh.box.upper, atol=0.06 * size)
     if mesh.is_watertight:
-        assert abs(surface.volume / mesh.volume - 1) < 0.1
+        assert abs(surface.volume - mesh.volume) < 0.003 * size * mesh.area

@@ -4,9 +4,9 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from levelflow import SIREN, Box, Sphere, load, save
+from levelflow import SIREN, Box, Budget, Checkpoint, Circle, Sampling, Sphere, fit, load, save
 from levelflow.fields import Placed, Sum
-from levelflow.saving import describe, load_checkpoint, save_checkpoint
+from levelflow.saving import describe
 
 BOX = Box((-3.0, 1.0, 0.0), (5.0, 2.0, 4.0), ((-0.5, 2.0),))
 
@@ -93,13 +93,31 @@ def test_only_fields_of_networks_are_saved(unchecked, tmp_path):
         save(Sum(SIREN(width=4), SIREN(width=4)), tmp_path / "f.safetensors")
 
 
-def test_a_checkpoint_is_only_resumed_with_its_own_settings(tmp_path):
-    path, settings = tmp_path / "c.safetensors", {"seed": 0, "times": (0.0, 1.0)}
-    save_checkpoint(path, {"parameter.0": torch.ones(2)}, settings)
-    assert torch.equal(load_checkpoint(path, settings)["parameter.0"], torch.ones(2))
-    assert describe(path)["settings"] == {"seed": 0, "times": [0.0, 1.0]}
+@pytest.mark.filterwarnings("ignore:Implicit.sample")
+def test_an_interrupted_run_goes_on_and_ends_the_same(tmp_path):
+    class Interrupted(Exception):
+        pass
+
+    def interrupted(progress):
+        kept(progress)
+        if progress.step == 25:
+            raise Interrupted
+
+    problem = {"shape": Circle(0.5), "budget": Budget(steps=40), "sampling": Sampling(n=128, given=500)}
+    whole = fit(SIREN(2, width=8, depth=2), **problem)
+    kept = Checkpoint(tmp_path / "run.safetensors", settings={"seed": 0, "times": (0.0, 1.0)}, seconds=0)
+    assert kept.state is None
+    with pytest.raises(Interrupted):
+        fit(SIREN(2, width=8, depth=2), **problem, on_step=interrupted)
+    assert describe(kept.path)["settings"] == {"seed": 0, "times": [0.0, 1.0]}
+    resumed = fit(SIREN(2, width=8, depth=2), **problem, on_step=kept, state=kept.state)
+    assert all(torch.equal(a, b) for a, b in zip(whole.parameters(), resumed.parameters(), strict=True))
     with pytest.raises(ValueError, match="seed was 0 and is 1"):
-        load_checkpoint(path, settings | {"seed": 1})
+        Checkpoint(kept.path, settings={"seed": 1, "times": (0.0, 1.0)}).state  # noqa: B018
+    with pytest.raises(ValueError, match="holds a checkpoint, not a field"):
+        load(kept.path)
+    kept.remove()
+    assert not kept.path.exists()
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):

@@ -23,7 +23,7 @@ from levelflow.cli.names import (
     velocity_named,
     warn_of_distance,
 )
-from levelflow.cli.running import Run, accuracy_in_words, budget, evolve, training
+from levelflow.cli.running import CHECKPOINT_SECONDS, Run, accuracy_in_words, budget, evolve, training
 
 if TYPE_CHECKING:
     from levelflow.conditions import Key
@@ -104,7 +104,7 @@ def fit(
     """Fit a field to a shape, and say how accurate it is."""
     from levelflow.fitting import fit as fit_field
     from levelflow.networks.siren import SIREN
-    from levelflow.saving import save
+    from levelflow.saving import Checkpoint, save
 
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
     if output.suffix != ".safetensors":
@@ -113,15 +113,19 @@ def fit(
         )
     surface = surface_named(shape)
     output.parent.mkdir(parents=True, exist_ok=True)
-    checkpoint = output.with_name(f"{output.stem}.checkpoint.safetensors")
-    with training(run, f"fitting {shape}", checkpoint, run.settings("fit", [shape])) as (on_step, state):
+    kept = Checkpoint(
+        output.with_name(f"{output.stem}.checkpoint.safetensors"),
+        settings=run.settings("fit", [shape]),
+        seconds=CHECKPOINT_SECONDS,
+    )
+    with training(run, f"fitting {shape}", kept) as (on_step, state):
         field = fit_field(
             SIREN(surface.box.space, width=width, depth=depth).to(device_named(device)), surface, budget=budget(run),
             seed=seed, on_step=on_step, state=state,
         )  # fmt: skip
     field.provenance["inputs"] = [shape]
     save(field, output)
-    checkpoint.unlink(missing_ok=True)
+    kept.remove()
     run.say(f"{output}: {accuracy_in_words(field.provenance['accuracy'], field.box)}")
 
 

@@ -17,11 +17,14 @@ from levelflow._version import __version__
 from levelflow.cli.names import box_of, device_named, fingerprint
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from levelflow.boxes import Box
     from levelflow.conditions import Key
     from levelflow.equations import Equation
     from levelflow.export.frames import Frame
     from levelflow.minimising import Budget, Progress
+    from levelflow.saving import Checkpoint
 
 CHECKPOINT_SECONDS = float(os.environ.get("LEVELFLOW_CHECKPOINT_SECONDS", "5"))
 """How often a run is saved while it goes on; the environment variable is for tests and for slow disks."""
@@ -78,18 +81,18 @@ def evolve(
     from levelflow.export.frames import write_frames
     from levelflow.measures import residual_table
     from levelflow.networks.siren import SIREN
-    from levelflow.saving import save
+    from levelflow.saving import Checkpoint, save
     from levelflow.shapes.writing import replace_file
     from levelflow.solving import solve
 
     if resolution < 2:
         raise ValueError(f"--resolution {resolution}: give at least 2 cells.")
     folder.mkdir(parents=True, exist_ok=True)
-    checkpoint = folder / "checkpoint.safetensors"
     started = time.perf_counter()
     space = box_of(next(iter(at.values()))).space
     settings = run.settings(verb, inputs, equation=repr(equation), times=[min(times), max(times)])
-    with training(run, f"{verb} {' '.join(inputs)}", checkpoint, settings) as (on_step, state):
+    kept = Checkpoint(folder / "checkpoint.safetensors", settings=settings, seconds=CHECKPOINT_SECONDS)
+    with training(run, f"{verb} {' '.join(inputs)}", kept) as (on_step, state):
         field = solve(
             equation, SIREN(space, 1, width=run.width, depth=run.depth).to(device_named(run.device)), at=at,
             until=(min(times), max(times)), budget=budget(run), seed=run.seed, on_step=on_step, state=state,
@@ -119,7 +122,7 @@ def evolve(
         "frames": [frame.report() for frame in frames],
     }
     replace_file(folder / "report.json", json.dumps(report, indent=2).encode())
-    checkpoint.unlink(missing_ok=True)
+    kept.remove()
     for t, accuracy in field.provenance["accuracy"].items():
         run.say(f"at t = {t}: {accuracy_in_words(accuracy, field.box)}")
     run.say(f"{folder}: field.safetensors, {sum(f.mesh is not None for f in frames)} meshes, frames.png, report.json")
@@ -128,38 +131,33 @@ def evolve(
 
 @contextmanager
 def training(
-    run: Run, title: str, checkpoint: Path, settings: dict[str, Any]
-) -> Iterator[tuple[Callable[[Progress], None], dict[str, Any] | None]]:
-    """What a training run needs around it: a bar, checkpoints, the state to go on from, and a word when it ends."""
+    run: Run, title: str, kept: Checkpoint
+) -> Iterator[tuple[Callable[[Progress], None], dict[str, Tensor] | None]]:
+    """What a training run needs around it: a bar, checkpoints, the state to go on from, and a word when it fails."""
     from levelflow.minimising import Divergence
     from levelflow.progress import Bar
-    from levelflow.saving import load_checkpoint, save, save_checkpoint
+    from levelflow.saving import save
 
-    state = None
-    if run.resume:
-        if not checkpoint.exists():
-            raise ValueError(f"--resume: there is no interrupted run in {checkpoint.parent}; leave --resume out.")
-        state = load_checkpoint(checkpoint, settings)
-        run.say(f"going on from step {int(state['progress'][0])}")
-    elif checkpoint.exists():
+    state = kept.state if run.resume else None
+    if run.resume and state is None:
+        raise ValueError(f"--resume: there is no interrupted run in {kept.path.parent}; leave --resume out.")
+    if not run.resume and kept.path.exists():
         raise ValueError(
-            f"{checkpoint.parent} holds an interrupted run. Go on with it by --resume, "
-            f"choose another output, or remove {checkpoint}."
+            f"{kept.path.parent} holds an interrupted run. Go on with it by --resume, "
+            f"choose another output, or remove {kept.path}."
         )
-    saved = time.perf_counter()
+    if state is not None:
+        run.say(f"going on from step {int(state['progress'][0])}")
     with Bar(title, quiet=run.quiet) as bar:
 
         def on_step(progress: Progress) -> None:
-            nonlocal saved
             bar(progress)
-            if time.perf_counter() - saved > CHECKPOINT_SECONDS:
-                save_checkpoint(checkpoint, progress.state(), settings)
-                saved = time.perf_counter()
+            kept(progress)
 
         try:
             yield on_step, state
         except Divergence as error:
-            last = checkpoint.with_name("last-good.safetensors")
+            last = kept.path.with_name("last-good.safetensors")
             save(error.field, last)
             raise Divergence(f"{error} It is saved as {last}.") from None
 

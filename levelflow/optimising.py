@@ -82,5 +82,6 @@ class SOAP(torch.optim.Optimizer):
         """One step of orthogonal iteration, which needs the basis in the order of falling eigenvalues."""
         mean, basis = state[name], state[f"{name}_basis"]
         order = (basis * (mean @ basis)).sum(0).argsort(descending=True, stable=True)
-        state[f"{name}_basis"] = torch.linalg.qr(mean @ basis[:, order])[0]
+        # Contiguous, so that a state read from a file goes on with the same bits.
+        state[f"{name}_basis"] = torch.linalg.qr(mean @ basis[:, order])[0].contiguous()
         state["second"] = state["second"].index_select(axis, order)

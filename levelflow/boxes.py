@@ -106,6 +106,8 @@ class Box:
     def union(self, *others: Box) -> Box:
         """The smallest box that contains this box and the others; times are this box's."""
         boxes: Sequence[Box] = (self, *others)
+        if len({box.space for box in boxes}) > 1:
+            raise ValueError("Box.union: some shapes lie in the plane and some in space; give shapes of one kind.")
         return Box(
             tuple(min(values) for values in zip(*(b.lower for b in boxes), strict=True)),
             tuple(max(values) for values in zip(*(b.upper for b in boxes), strict=True)),

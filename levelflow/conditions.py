@@ -95,10 +95,10 @@ class Given:
         surface = surface_of(key)
         drawn = surface.sample(n, generator=generator)
         value: Callable[[Tensor], Tensor]
-        if isinstance(key, Field):
-            value = key
-        elif isinstance(key, Solid):
-            value = key.distance
+        if isinstance(surface, Implicit):
+            value = surface.value
+        elif isinstance(surface, Solid):
+            value = surface.distance
         else:
             value = _estimated_distance(drawn.points, drawn.normals)
         points = frame.to_unit(drawn.points)
@@ -108,6 +108,11 @@ class Given:
             len(spread), box.space, generator=generator, dtype=points.dtype
         )
         near = near[box.contains(frame.from_unit(near))]
+        if not len(near):
+            raise ValueError(
+                f"the box from {box.lower} to {box.upper} does not contain the given surface, which lies between "
+                f"{surface.box.lower} and {surface.box.upper}; give a larger box, or leave it out."
+            )
         far = frame.to_unit(box.uniform(n // 4, generator=generator))
         with torch.no_grad():
             near_values = value(frame.from_unit(near)) / frame.scale
@@ -177,8 +182,18 @@ def pick(n: int, *tensors: Tensor, generator: torch.Generator) -> Batch:
 
 
 def surface_of(key: Key) -> Shape:
-    """The surface that a shape is or a field stands for."""
-    return Implicit(key) if isinstance(key, Field) else key
+    """The surface that a shape is or a field stands for.
+
+    Raises:
+        TypeError: If it is neither.
+    """
+    if isinstance(key, Field):
+        return Implicit(key)
+    if isinstance(key, Shape):
+        return key
+    raise TypeError(
+        f"{key!r} is neither a shape nor a field. Read a mesh with Mesh.read(path), or fit a field to a shape first."
+    )
 
 
 def box_around(boxes: Iterable[Box]) -> Box:

@@ -121,7 +121,7 @@ class Deformed(Field):
 
     def __init__(self, field: Field, deformation: Map) -> None:
         super().__init__()
-        if field.space + field.times != field.space or deformation.space != field.space:
+        if field.times or deformation.space != field.space:
             raise ValueError(
                 f"Deformed: a field on R^{field.space} with {field.times} times cannot follow a map on "
                 f"R^{deformation.space}; give a static field and a map of the same space."

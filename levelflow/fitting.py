@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 
 import torch
 from torch import Tensor
 
 from levelflow.boxes import Box
-from levelflow.conditions import Given, OffSurface, OnSurface, Sampling, box_around
-from levelflow.fields import Placed
+from levelflow.conditions import Given, OffSurface, OnSurface, Sampling, box_around, surface_of
+from levelflow.fields import Field, Placed
 from levelflow.measures import accuracy
 from levelflow.minimising import Budget, Divergence, Progress, Term, minimise
 from levelflow.networks.siren import SIREN
@@ -19,7 +20,7 @@ from levelflow.shapes.shape import Shape
 
 def fit(
     network: SIREN,
-    shape: Shape,
+    shape: Shape | Field,
     *,
     box: Box | None = None,
     budget: Budget = Budget(steps=1200),  # noqa: B008
@@ -48,12 +49,19 @@ def fit(
         those units.
 
     Raises:
+        TypeError: If what is given is no shape.
         ValueError: If the network depends on time, or its space is not that of the shape.
         Divergence: If training fails; its `field` is the last good one.
     """
     if network.times:
         raise ValueError(f"fit: the network depends on {network.times} time(s); give SIREN(time=0), or call solve.")
-    box = box or box_around([shape.box])
+    shape = surface_of(shape)
+    if shape.box.space != network.space:
+        raise ValueError(
+            f"fit: the network has {network.space} space coordinates, the shape has {shape.box.space}; "
+            f"give SIREN({shape.box.space})."
+        )
+    box = (box or box_around([shape.box])).during()
     field = Placed(copy.deepcopy(network), box)
     generator = torch.Generator().manual_seed(seed)
     like = next(field.parameters())
@@ -67,5 +75,6 @@ def fit(
         error.field = field
         raise
     field.provenance = {"verb": "fit", "seed": seed, "steps": progress.step}
+    field.provenance |= {"budget": asdict(budget), "sampling": asdict(sampling)}
     field.provenance["accuracy"] = accuracy(field, shape, seed=seed)
     return field

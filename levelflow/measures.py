@@ -75,7 +75,7 @@ class SurfaceDistance:
 
 
 def surface_distance(
-    a: Shape | Points, b: Shape | Points, *, n: int = 30_000, generator: torch.Generator
+    a: Shape | Field | Points, b: Shape | Field | Points, *, n: int = 30_000, generator: torch.Generator
 ) -> SurfaceDistance:
     """The distances from n points of each of two surfaces, drawn uniformly by area, to the other surface.
 
@@ -85,7 +85,7 @@ def surface_distance(
     the very farthest point.
 
     Args:
-        a: A mesh, a solid, a point cloud or points (m, d); points are taken as they are.
+        a: A mesh, a solid, a static field, a point cloud or points (m, d); points are taken as they are.
         b: The same.
         n: How many points are drawn from each surface.
         generator: The source of randomness.
@@ -94,6 +94,7 @@ def surface_distance(
         TypeError: If one of them is a shape without a distance.
         ValueError: If one lies in the plane and the other in space.
     """
+    a, b = (Implicit(surface) if isinstance(surface, Field) else surface for surface in (a, b))
     points, others = _drawn(a, n, generator), _drawn(b, n, generator)
     if points.shape[1] != others.shape[1]:
         raise ValueError(

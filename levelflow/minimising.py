@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import field as default
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NoReturn, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor, nn
@@ -15,6 +15,9 @@ from torch import Tensor, nn
 from levelflow.optimising import SOAP
 
 Batch = tuple[Tensor, ...]
+
+_BLOWN_UP = 1e4
+"""How many times its size in the first ten steps a loss may reach before training counts as diverged."""
 
 
 @runtime_checkable
@@ -131,7 +134,8 @@ def minimise(
 
     Raises:
         ValueError: If there is nothing to optimise.
-        Divergence: If the loss becomes infinite or not a number; the parameters return to the last good state.
+        Divergence: If a loss or gradient is no number or a loss has blown up; the parameters return to the
+            last good state.
     """
     parameters = [p for p in parameters if p.requires_grad]
     if not parameters:
@@ -142,6 +146,8 @@ def minimise(
     if state is not None:
         _restore(state, parameters, descent, terms, generator, progress)
     good = [p.detach().clone() for p in parameters]
+    before_acting: tuple[str, ...] = ()
+    since, reference = 0, 0.0
     progress._state = lambda: _state(parameters, descent, terms, generator, progress)
     before, started = progress.seconds, time.perf_counter()
 
@@ -150,22 +156,30 @@ def minimise(
         for group in descent.param_groups:
             group["lr"] = rate * _schedule(progress.step, progress.spent)
         descent.zero_grad(set_to_none=True)
+        total = 0.0
+        acting: tuple[str, ...] = ()
         for term in terms:
             if not getattr(term, "since", 0.0) <= progress.spent < getattr(term, "until", 1.0):
                 progress.losses.pop(term.name, None)
                 continue
             loss = _accumulate(term, term.sample(generator), chunk)
-            if not math.isfinite(loss) or not all(_is_finite(p.grad) for p in parameters):
-                with torch.no_grad():
-                    for p, last in zip(parameters, good, strict=True):
-                        p.copy_(last)
-                raise Divergence(
-                    f"Training diverged at step {progress.step + 1}: the loss of '{term.name}' is {loss:g}, "
-                    f"{'with a gradient that is no number' if math.isfinite(loss) else 'no number'}. "
-                    "The field is back at its last good state; lower the learning rate, or shorten the time interval."
-                )
+            if not math.isfinite(loss):
+                _revert(parameters, good, f"step {progress.step + 1}: the loss of '{term.name}' is {loss:g}, no number")
             memory = progress.losses.get(term.name, loss)
             progress.losses[term.name] = memory + 0.02 * (loss - memory)
+            total += term.weight * loss
+            acting += (term.name,)
+        if acting != before_acting:
+            before_acting, since = acting, progress.step
+        if progress.step < since + 10:
+            reference = max(total, reference if progress.step > since else 0.0)
+        elif total > _BLOWN_UP * reference:
+            _revert(
+                parameters, good, f"step {progress.step + 1}: the loss has grown from {reference:.2g} to {total:.2g}"
+            )
+        slopes = [p.grad.sum() for p in parameters if p.grad is not None]
+        if slopes and not math.isfinite(torch.stack(slopes).sum().item()):
+            _revert(parameters, good, f"step {progress.step + 1}: the gradient is no number")
         if progress.step % 100 == 0:
             good = [p.detach().clone() for p in parameters]
         descent.step()
@@ -187,9 +201,15 @@ def _accumulate(term: Term, batch: Batch, chunk: int) -> float:
     return total
 
 
-def _is_finite(gradient: Tensor | None) -> bool:
-    """Whether a gradient has only finite entries; their sum tells, unless it overflows, which is as bad."""
-    return gradient is None or math.isfinite(gradient.sum().item())
+def _revert(parameters: Sequence[nn.Parameter], good: Sequence[Tensor], what: str) -> NoReturn:
+    """Brings back the last good state, and says so."""
+    with torch.no_grad():
+        for p, last in zip(parameters, good, strict=True):
+            p.copy_(last)
+    raise Divergence(
+        f"Training diverged at {what}. The field is back at its last good state; "
+        "lower the learning rate, or shorten the time interval."
+    )
 
 
 def _schedule(step: int, spent: float) -> float:

@@ -162,6 +162,8 @@ def _read(path: Path, *, kind: str | None) -> tuple[dict[str, Tensor], dict[str,
         with safe_open(str(path), framework="pt") as file:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except PermissionError:
+        raise
     except (SafetensorError, OSError) as error:
         raise ValueError(
             f"load: {path.name!r} ({path.stat().st_size} bytes) is not a field; "
@@ -173,6 +175,8 @@ def _read(path: Path, *, kind: str | None) -> tuple[dict[str, Tensor], dict[str,
         raise ValueError(
             f"load: {path.name!r} is a safetensors file of another program; it has no levelflow header."
         ) from None
+    if not isinstance(header, dict):
+        raise ValueError(f"load: the header of {path.name!r} is not a description: {str(header)[:40]!r}.")
     if header.get("format", 0) > FORMAT:
         raise ValueError(
             f"load: {path.name!r} was written by levelflow {header.get('version')}, which is newer than {__version__}; "

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 
 import torch
 from torch import Tensor
@@ -16,8 +18,9 @@ from levelflow.fields import Placed
 from levelflow.measures import accuracy
 from levelflow.minimising import Budget, Divergence, Progress, Term, minimise
 from levelflow.motion import Blend, Carried, Motion
-from levelflow.networks.lifting import lift
+from levelflow.networks.lifting import lift, replaced
 from levelflow.networks.siren import SIREN
+from levelflow.shapes.shape import Shape
 
 
 def solve(
@@ -25,7 +28,7 @@ def solve(
     network: SIREN,
     *,
     at: Mapping[float, Key],
-    until: float | tuple[float, float] | None = None,
+    until: float | Sequence[float] | None = None,
     start: Placed | None = None,
     box: Box | None = None,
     budget: Budget = Budget(steps=1200),  # noqa: B008
@@ -48,13 +51,14 @@ def solve(
         until: The other end of the time interval, or both ends; the interval always contains the times of `at`. Time
             may run backwards from a given shape: then curvature sharpens, which is ill-posed beyond a short while.
         start: A static field to start from, such as one fitted to the first shape: its network, lifted to space-time
-            and to the width of `network`, replaces the initial weights.
+            and to the width of `network`, replaces that one, frequency and all.
         box: Where the field is to be valid, in the units of the shapes. If left out, the box of the shapes, carried
             along with the motion where that is possible, and a margin.
         budget: Steps, or seconds, of training.
         sampling: How many samples a step draws, and of which kinds.
         warm_up: The part of the budget in which the equation is not yet asked for, only its simplest guess: the given
-            shape standing still, or several of them blended.
+            shape standing still, or several of them blended. Not used with `start`, nor where the characteristics
+            are known.
         seed: Of every random choice.
         on_step: Called with the progress after each step.
         state: Where an interrupted run goes on from (`Progress.state`).
@@ -64,6 +68,7 @@ def solve(
         `at`, how far its surface is from the given one.
 
     Raises:
+        TypeError: If what is given is neither a shape nor a field.
         ValueError: If there is no time interval, or the network does not fit.
         Divergence: If training fails; its `field` is the last good one.
 
@@ -75,14 +80,23 @@ def solve(
         raise ValueError(f"solve: the network has {network.times} times; give one of space and time, SIREN(time=1).")
     if not 0 <= warm_up < 1:
         raise ValueError(f"solve(warm_up={warm_up:g}): give the part of the budget, at least 0 and below 1.")
-    if box is None:
-        box = start.box if start is not None else _reach(equation, at, interval)
-    box = box.during(interval)
-    if start is not None:
-        network = _lifted(start, network, box)
-    field = Placed(copy.deepcopy(network), box)
-
+    surfaces = {t: surface_of(key) for t, key in at.items()}
+    if spaces := {surface.box.space for surface in surfaces.values()} - {network.space}:
+        raise ValueError(
+            f"solve: the network has {network.space} space coordinates, a shape has {spaces.pop()}; "
+            "give SIREN(2, 1) for curves in the plane and SIREN(3, 1) for surfaces."
+        )
+    if equation.sharpens and interval[0] < min(at):
+        warnings.warn(
+            f"{equation!r} sharpens before t = {min(at):g}, which is ill-posed: details and noise grow without bound. "
+            f"It is trained back to t = {interval[0]:g}; keep such intervals short.",
+            stacklevel=2,
+        )
+    box = (box or _reach(equation, surfaces, interval)).during(interval)
     generator = torch.Generator().manual_seed(seed)
+    if start is not None:
+        network = _lifted(start, network, box, generator)
+    field = Placed(copy.deepcopy(network), box)
     like = next(field.parameters())
     given = {t: Given.of(key, box, n=sampling.given, generator=generator, like=like) for t, key in at.items()}
     n, on, off = sampling.counts()
@@ -94,10 +108,12 @@ def solve(
     if len(at) == 1 and Carried.is_known(equation, box.space):
         ((t, samples),) = given.items()
         terms.append(Carried(field, equation, samples, t, n=n, generator=generator))
-        terms.append(Motion(field, equation, n=n // 4))
+        terms.append(Motion(field, equation, n=max(1, n // 4)))
     else:
-        terms.append(Blend(field, list(given.values()), list(given), n=n, until=0.0 if start is not None else warm_up))
-        terms.append(Motion(field, equation, n=n, since=0.0 if start is not None else warm_up))
+        warm_up = 0.0 if start is not None else warm_up
+        if warm_up:
+            terms.append(Blend(field, list(given.values()), list(given), n=n, until=warm_up))
+        terms.append(Motion(field, equation, n=n, since=warm_up))
     try:
         progress = minimise(field.parameters(), terms, budget=budget, generator=generator, on_step=on_step, state=state)
     except Divergence as error:
@@ -108,14 +124,17 @@ def solve(
         "equation": repr(equation),
         "seed": seed,
         "steps": progress.step,
-        "accuracy": {f"{t:g}": accuracy(field.at(t), surface_of(key), seed=seed) for t, key in at.items()},
+        "budget": asdict(budget),
+        "sampling": asdict(sampling),
+        "warm_up": warm_up,
+        "accuracy": {f"{t:.15g}": accuracy(field.at(t), surface, seed=seed) for t, surface in surfaces.items()},
     }
     return field
 
 
-def _interval(at: Mapping[float, Key], until: float | tuple[float, float] | None) -> tuple[float, float]:
+def _interval(at: Mapping[float, Key], until: float | Sequence[float] | None) -> tuple[float, float]:
     """The times from the first to the last of those given and asked for."""
-    ends = () if until is None else until if isinstance(until, tuple) else (until,)
+    ends = () if until is None else until if isinstance(until, Sequence) else (until,)
     times = [float(t) for t in (*at, *ends)]
     if not at:
         raise ValueError("solve(at={}): give at least one shape, such as at={0.0: shape}.")
@@ -126,12 +145,11 @@ def _interval(at: Mapping[float, Key], until: float | tuple[float, float] | None
     return min(times), max(times)
 
 
-def _reach(equation: Equation, at: Mapping[float, Key], interval: tuple[float, float]) -> Box:
+def _reach(equation: Equation, surfaces: Mapping[float, Shape], interval: tuple[float, float]) -> Box:
     """A box around the given surfaces, and around where the motion carries them if it can be told beforehand."""
     first, last = interval
     boxes = []
-    for t0, key in at.items():
-        surface = surface_of(key)
+    for t0, surface in surfaces.items():
         boxes.append(surface.box)
         x = surface.sample(2000, generator=torch.Generator().manual_seed(0)).points
         start = torch.full((len(x),), float(t0), dtype=torch.float64)
@@ -142,17 +160,13 @@ def _reach(equation: Equation, at: Mapping[float, Key], interval: tuple[float, f
     return box_around(boxes)
 
 
-def _lifted(start: Placed, network: SIREN, box: Box) -> SIREN:
-    """The network of a static field, lifted to space-time."""
-    inner = start.field
+def _lifted(start: Placed, network: SIREN, box: Box, generator: torch.Generator) -> SIREN:
+    """The network of a static field, lifted to space-time and to another box."""
+    inner = start.field if isinstance(start, Placed) else None
     if not isinstance(inner, SIREN) or inner.times or inner.depth != network.depth or inner.width > network.width:
         raise ValueError(
-            "solve(start=...): give a static field whose SIREN has the depth of the network and at most its width "
-            f"({network.depth} layers, {network.width} wide)."
+            "solve(start=...): give a static field from fit whose network has the depth of this one and at most its "
+            f"width ({network.depth} layers, {network.width} wide)."
         )
-    if start.box.frame != box.frame:
-        raise ValueError(
-            f"solve(start=...): the field to start from lies in {start.box}, the solution in {box}; "
-            "fit the field in that box: fit(..., box=...)."
-        )
-    return lift(inner, time=1, width=network.width)
+    lifted = lift(replaced(inner, start.box.frame, box.frame), time=1, width=network.width, generator=generator)
+    return lifted.to(next(network.parameters()).device)

@@ -26,7 +26,7 @@ LEVELS = (
     ("motion", "rendering"),
     ("flows",),
     ("fitting", "solving", "evolution", "deformation", "filtering", "recovery"),
-    ("saving", "export", "viewer"),
+    ("saving", "export", "suite", "viewer"),
     ("cli",),
     ("__main__",),
 )

@@ -19,9 +19,6 @@ def main() -> None:
     warnings.showwarning = lambda message, *_, **__: typer.echo(f"warning: {message}", err=True)
     try:
         app(args=arguments)
-    except KeyboardInterrupt:
-        typer.echo("interrupted; --resume goes on from the last checkpoint.", err=True)
-        sys.exit(130)
     except Exception as error:
         if debug:
             raise

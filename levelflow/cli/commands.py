@@ -23,7 +23,17 @@ from levelflow.cli.names import (
     velocity_named,
     warn_of_distance,
 )
-from levelflow.cli.running import CHECKPOINT_SECONDS, Run, accuracy_in_words, budget, evolve, training
+from levelflow.cli.running import (
+    CHECKPOINT,
+    CHECKPOINT_SECONDS,
+    DEFAULT_STEPS,
+    Run,
+    accuracy_in_words,
+    budget,
+    evolve,
+    folder_for,
+    training,
+)
 
 if TYPE_CHECKING:
     from levelflow.conditions import Key
@@ -40,7 +50,9 @@ app = typer.Typer(
 )
 
 ShapeArgument = Annotated[str, typer.Argument(metavar="SHAPE", help="A mesh, a point cloud, a field, or a built-in.")]
-Folder = Annotated[Path, typer.Option("--output", "-o", help="The folder for the results.")]
+Folder = Annotated[
+    Path | None, typer.Option("--output", "-o", help="The folder for the results [default: SHAPE-VERB].")
+]
 Steps = Annotated[int | None, typer.Option(help="Training steps. By default 1200, or as many as --seconds allows.")]
 Seconds = Annotated[float | None, typer.Option(help="Training time; takes the place of the default number of steps.")]
 Seed = Annotated[int, typer.Option(help="Of every random choice.")]
@@ -58,7 +70,7 @@ Relative = Annotated[
 
 @app.command()
 def demo(
-    output: Folder = Path("demo-output"),
+    output: Annotated[Path, typer.Option("--output", "-o", help="The folder for the results.")] = Path("demo-output"),
     steps: Annotated[int, typer.Option(help="Training steps of each of the three evolutions.")] = 300,
     quiet: Quiet = False,
 ) -> None:
@@ -79,6 +91,7 @@ def demo(
         run = Run(steps, None, 0, "cpu", quiet, False, 64, 3)
         times = [first + (last - first) * i / 4 for i in range(5)]
         folder = output / name
+        (folder / CHECKPOINT).unlink(missing_ok=True)
         frames = evolve(run, name, [name], at, equation, times, folder, resolution=96, title=title)
         sheets.append(
             contact_sheet([f.mesh for f in frames], [f"t = {f.time:g}" for f in frames], title=title, size=300)
@@ -102,6 +115,8 @@ def fit(
     depth: Depth = 3,
 ) -> None:
     """Fit a field to a shape, and say how accurate it is."""
+    import torch
+
     from levelflow.fitting import fit as fit_field
     from levelflow.networks.siren import SIREN
     from levelflow.saving import Checkpoint, save
@@ -119,10 +134,10 @@ def fit(
         seconds=CHECKPOINT_SECONDS,
     )
     with training(run, f"fitting {shape}", kept) as (on_step, state):
-        field = fit_field(
-            SIREN(surface.box.space, width=width, depth=depth).to(device_named(device)), surface, budget=budget(run),
-            seed=seed, on_step=on_step, state=state,
-        )  # fmt: skip
+        network = SIREN(surface.box.space, width=width, depth=depth, generator=torch.Generator().manual_seed(seed)).to(
+            device_named(device)
+        )
+        field = fit_field(network, surface, budget=budget(run), seed=seed, on_step=on_step, state=state)
     field.provenance["inputs"] = [shape]
     save(field, output)
     kept.remove()
@@ -132,7 +147,7 @@ def fit(
 @app.command()
 def smooth(
     shape: ShapeArgument,
-    output: Folder,
+    output: Folder = None,
     rate: Annotated[
         float | None, typer.Option(help="Rate of mean curvature motion, length^2 per time [default: by the size].")
     ] = None,
@@ -157,16 +172,17 @@ def smooth(
     if rate is None:
         rate, relative = 1e-3, True
     equation = MeanCurvature(rate * unit**2 if relative else rate)
-    evolve(run, "smooth", [shape], {0.0: key}, equation, times_in(times), output, resolution=resolution)
+    folder = output or folder_for([shape], "smooth")
+    evolve(run, "smooth", [shape], {0.0: key}, equation, times_in(times), folder, resolution=resolution)
 
 
 @app.command()
 def advect(
     shape: ShapeArgument,
-    output: Folder,
+    output: Folder = None,
     velocity: Annotated[
         str, typer.Option(help="translation, rotation, twist, source, sink; several with + between them.")
-    ] = "twist",
+    ] = "rotation",
     by: Annotated[str | None, typer.Option(help="Velocity of a translation, x,y,z.")] = None,
     rate: Annotated[
         float | None,
@@ -194,6 +210,8 @@ def advect(
     key = key_named(shape)
     unit, box = half_box(key), box_of(key)
     middle = box.center if center is None else numbers_in(center, "--center")
+    if len(middle) != box.space:
+        raise ValueError(f"--center {center}: the shape has {box.space} coordinates; give as many numbers.")
     if center is not None and relative:
         middle = tuple(c + unit * v for c, v in zip(box.center, middle, strict=True))
     length = unit if relative else 1.0
@@ -203,13 +221,14 @@ def advect(
         for name in velocity.split("+")
     ]  # fmt: skip
     equation = Transport(velocities[0] if len(velocities) == 1 else SumOfVelocities(tuple(velocities)))
-    evolve(run, "advect", [shape], {0.0: key}, equation, times_in(times), output, resolution=resolution)
+    folder = output or folder_for([shape], "advect")
+    evolve(run, "advect", [shape], {0.0: key}, equation, times_in(times), folder, resolution=resolution)
 
 
 @app.command()
 def morph(
     shapes: Annotated[list[str], typer.Argument(metavar="A B [C ...]", help="Two shapes or more.")],
-    output: Folder,
+    output: Folder = None,
     times: Times = None,
     resolution: Resolution = 128,
     steps: Steps = None,
@@ -236,7 +255,8 @@ def morph(
         raise ValueError(
             f"morph --times {times}: the shapes stand between the times 0 and 1; ask for times in between."
         )
-    evolve(run, "morph", shapes, at, equation, asked, output, resolution=resolution)
+    folder = output or folder_for(shapes, "morph")
+    evolve(run, "morph", shapes, at, equation, asked, folder, resolution=resolution)
 
 
 @app.command()
@@ -283,6 +303,37 @@ def measure(
     typer.echo(f"chamfer {distance.chamfer:.6g}, Hausdorff {distance.hausdorff:.6g}")
     for title, spread in ((f"{a} to {b}", distance.there), (f"{b} to {a}", distance.back)):
         typer.echo(f"{title}: mean {spread.mean:.6g}, max {spread.max:.6g}")
+
+
+@app.command()
+def bench(
+    cases: Annotated[
+        list[str] | None, typer.Argument(metavar="[CASE ...]", help="Some of the cases; all by default.")
+    ] = None,
+    shape: Annotated[
+        str, typer.Option("--mesh", metavar="SHAPE", help="What is carried around and fitted.")
+    ] = "rounded-cuboid",
+    steps: Annotated[int, typer.Option(help="Training steps of each case.")] = DEFAULT_STEPS,
+) -> None:
+    """Solve evolutions whose answer is known, and say how far off the surfaces are; exit code 1 if a limit is missed."""
+    import torch
+
+    from levelflow.minimising import Budget
+    from levelflow.shapes import Solid
+    from levelflow.suite import CASES, HEADER, Suite
+
+    if unknown := set(cases or ()) - set(CASES):
+        raise ValueError(f"bench: there is no case {', '.join(sorted(unknown))}; known are {', '.join(CASES)}.")
+    solid = solid_named(shape)
+    if not isinstance(solid, Solid):
+        raise ValueError(f"bench --mesh {shape}: give a mesh or a built-in shape.")
+    typer.echo(f"{torch.get_num_threads()} threads, PyTorch {torch.__version__}, {steps} steps each\n{HEADER}")
+    missed = False
+    for row in Suite(solid, Path(shape).stem, Budget(steps)).rows(cases or list(CASES)):
+        typer.echo(str(row))
+        missed |= not row.error <= row.limit
+    if missed:
+        raise typer.Exit(1)
 
 
 @app.command()

@@ -92,11 +92,17 @@ def velocity_named(
     length: float,
     unit: float,
 ) -> VelocityField:
-    """A velocity field by its name; `length` is the unit of lengths that were given, `unit` that of defaults."""
+    """A velocity field by its name; `length` is the unit of lengths that were given, `unit` that of defaults.
+
+    The number of coordinates is that of `center`.
+    """
     from levelflow.equations import Constant, Rotation, Source, Twist
 
     if name == "translation":
-        moved = (0.5 * unit, 0.0, 0.0) if by is None else tuple(length * v for v in numbers_in(by, "--by"))
+        rest = (0.0,) * (len(center) - 1)
+        moved = (0.5 * unit, *rest) if by is None else tuple(length * v for v in numbers_in(by, "--by"))
+        if len(moved) != len(center):
+            raise ValueError(f"--by {by}: the shape has {len(center)} coordinates; give as many numbers.")
         return Constant(moved)
     if name == "rotation":
         return Rotation(math.pi / 2 if rate is None else rate, axis, center)
@@ -134,7 +140,7 @@ def times_in(text: str | None) -> list[float]:
         values = []
     if not values or not all(math.isfinite(v) for v in values):
         raise ValueError(f"--times {text}: give numbers, 0,0.5,1, or first:last:number, 0:1:5.")
-    return sorted({round(v, 12) + 0.0 for v in values})
+    return sorted({float(f"{v:.12g}") + 0.0 for v in values})
 
 
 def numbers_in(text: str, option: str) -> tuple[float, ...]:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 CHECKPOINT_SECONDS = float(os.environ.get("LEVELFLOW_CHECKPOINT_SECONDS", "5"))
 """How often a run is saved while it goes on; the environment variable is for tests and for slow disks."""
 DEFAULT_STEPS = 1200
+CHECKPOINT = "checkpoint.safetensors"
 
 
 @dataclass(frozen=True)
@@ -87,16 +88,22 @@ def evolve(
 
     if resolution < 2:
         raise ValueError(f"--resolution {resolution}: give at least 2 cells.")
+    if len({*times, *at}) < 2:
+        raise ValueError(f"--times: the shape is given at t = {times[0]:g}; ask for other times as well.")
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"-o {folder}: this is a file; name a folder for the results.")
     folder.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
     space = box_of(next(iter(at.values()))).space
     settings = run.settings(verb, inputs, equation=repr(equation), times=[min(times), max(times)])
-    kept = Checkpoint(folder / "checkpoint.safetensors", settings=settings, seconds=CHECKPOINT_SECONDS)
+    kept = Checkpoint(folder / CHECKPOINT, settings=settings, seconds=CHECKPOINT_SECONDS)
     with training(run, f"{verb} {' '.join(inputs)}", kept) as (on_step, state):
+        network = SIREN(
+            space, 1, width=run.width, depth=run.depth, generator=torch.Generator().manual_seed(run.seed)
+        ).to(device_named(run.device))
         field = solve(
-            equation, SIREN(space, 1, width=run.width, depth=run.depth).to(device_named(run.device)), at=at,
-            until=(min(times), max(times)), budget=budget(run), seed=run.seed, on_step=on_step, state=state,
-        )  # fmt: skip
+            equation, network, at=at, until=times, budget=budget(run), seed=run.seed, on_step=on_step, state=state
+        )
     trained = time.perf_counter()
     field.provenance["inputs"] = list(inputs)
     save(field, folder / "field.safetensors")
@@ -156,10 +163,20 @@ def training(
 
         try:
             yield on_step, state
+        except KeyboardInterrupt:
+            more = "--resume goes on from the last save" if kept.path.exists() else "nothing was saved yet"
+            typer.echo(f"interrupted; {more}.", err=True)
+            raise
         except Divergence as error:
+            kept.remove()
             last = kept.path.with_name("last-good.safetensors")
             save(error.field, last)
             raise Divergence(f"{error} It is saved as {last}.") from None
+
+
+def folder_for(shapes: Sequence[str], verb: str) -> Path:
+    """`armadillo-smooth`, or `spot-bob-morph`."""
+    return Path("-".join([*(Path(shape).stem for shape in shapes), verb]))
 
 
 def budget(run: Run) -> Budget:

@@ -17,7 +17,8 @@ class MeanCurvature(LevelSetEquation):
     r"""Motion by mean curvature, $\partial_t f = \alpha\,|\nabla f|\,\operatorname{div} n$.
 
     Each point moves along its normal with speed $-\alpha\,(k_1 + k_2)$: bumps sink, dents rise. Backwards in time the
-    motion sharpens and is ill-posed; keep such intervals short. A sphere stays a sphere, $r(t)^2 = r_0^2 - 4\alpha t$.
+    motion sharpens and is ill-posed; keep such intervals short. A sphere stays a sphere, $r(t)^2 = r_0^2 - 4\alpha t$,
+    and a circle in the plane a circle, $r(t)^2 = r_0^2 - 2\alpha t$.
 
     Attributes:
         rate: The coefficient $\alpha > 0$, in length^2 per unit time.
@@ -32,6 +33,7 @@ class MeanCurvature(LevelSetEquation):
     rate: float
 
     order = 2
+    sharpens = True
 
     def __post_init__(self) -> None:
         if not self.rate > 0:

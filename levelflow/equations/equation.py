@@ -19,9 +19,13 @@ class Equation(ABC):
 
     Attributes:
         order: The order of the jets that it needs, 1 or 2.
+        is_speed: Whether its error is a speed, in length per unit time; else it has no unit.
+        sharpens: Whether it is ill-posed backwards in time.
     """
 
     order: int = 1
+    is_speed: bool = False
+    sharpens: bool = False
 
     @abstractmethod
     def residual(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Tensor:
@@ -30,6 +34,11 @@ class Equation(ABC):
     def error(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Tensor:
         """The residual in the form that training makes small; the residual itself unless there is a better one."""
         return self.residual(x, t, jet)
+
+    @property
+    def columns(self) -> tuple[Equation, ...]:
+        """The equations that the columns of the residual stand for."""
+        return (self,)
 
     def carry(
         self, x: Float[Tensor, "n d"], start: Float[Tensor, " n"], end: Float[Tensor, " n"], *, steps: int = 32
@@ -54,16 +63,27 @@ class LevelSetEquation(Equation):
         Osher and Sethian, Fronts propagating with curvature-dependent speed, J. Comput. Phys. 79 (1988).
     """
 
+    is_speed = True
+
     @abstractmethod
     def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
         """The speed along the outward normal, in length per unit time."""
 
+    def weight(self, t: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
+        """By how much the error of the speed counts at each time; less where the speed has no bound."""
+        return torch.ones_like(t[:, 0])
+
     def residual(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
-        return jet.dt[:, 0] + self.speed(x, t, jet) * gradient_norm(jet)
+        return self._rate(jet) + self.speed(x, t, jet) * gradient_norm(jet)
 
     def error(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
         """The error of the normal speed, v - (-f_t / |grad f|): unlike the residual, a flatter f does not lower it."""
-        return jet.dt[:, 0] / gradient_norm(jet) + self.speed(x, t, jet)
+        return (self._rate(jet) / gradient_norm(jet) + self.speed(x, t, jet)) * self.weight(t)
+
+    def _rate(self, jet: Jet) -> Tensor:
+        if not jet.dt.shape[1]:
+            raise ValueError(f"{self!r}: the field does not depend on time, so nothing can move; give SIREN(time=1).")
+        return jet.dt[:, 0]
 
     def __add__(self, other: Equation) -> Equation:
         return Motions(self, other) if isinstance(other, LevelSetEquation) else _together(self, other)
@@ -75,12 +95,16 @@ class Motions(LevelSetEquation):
     def __init__(self, *motions: LevelSetEquation) -> None:
         self.motions = motions
         self.order = max(motion.order for motion in motions)
+        self.sharpens = any(motion.sharpens for motion in motions)
 
     def __repr__(self) -> str:
         return " + ".join(map(repr, self.motions))
 
     def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
         return torch.stack([motion.speed(x, t, jet) for motion in self.motions]).sum(0)
+
+    def weight(self, t: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
+        return torch.stack([motion.weight(t) for motion in self.motions]).amin(0)
 
 
 class Together(Equation):
@@ -89,6 +113,11 @@ class Together(Equation):
     def __init__(self, *equations: Equation) -> None:
         self.equations = equations
         self.order = max(equation.order for equation in equations)
+        self.sharpens = any(equation.sharpens for equation in equations)
+
+    @property
+    def columns(self) -> tuple[Equation, ...]:
+        return self.equations
 
     def __repr__(self) -> str:
         return " + ".join(map(repr, self.equations))

@@ -8,12 +8,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from levelflow.curvature import gradient_norm
 from levelflow.equations.equation import LevelSetEquation
 from levelflow.fields import Field
 from levelflow.jets import Jet
+from levelflow.shapes.implicit import Implicit
 from levelflow.shapes.shape import Solid
 from levelflow.shapes.tabulated import Tabulated
+
+_SOON = 1e-6
+"""The least time that counts as remaining."""
 
 
 class Morph(LevelSetEquation):
@@ -22,7 +25,8 @@ class Morph(LevelSetEquation):
     Where f lies inside the target the surface moves out, and where it lies outside, in. Divided by the time that
     remains, the speed reaches the target exactly at t1: distances of concentric spheres give r(t) linear in time. (The
     speed g - f of the paper leaves a factor 1/e of the difference after unit time.) The error that training sees is
-    multiplied by the part of the time that remains, so that it stays bounded at the end.
+    multiplied by the part of the time that remains, so that it stays bounded at the end. After the last target nothing
+    moves.
 
     A distance to a mesh is tabulated on a grid once, because the speed is needed at new points in every step.
 
@@ -58,29 +62,33 @@ class Morph(LevelSetEquation):
         return f"Morph(towards {len(self.targets)} target(s) at t = {', '.join(f'{t:g}' for t in self.targets)})"
 
     def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
-        gap, remaining, _ = self._approach(x, t, jet)
-        return -gap / remaining.clamp_min(1e-6)
-
-    def error(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
-        gap, remaining, interval = self._approach(x, t, jet)
-        return (jet.dt[:, 0] / gradient_norm(jet) * remaining - gap) / interval
-
-    def _approach(self, x: Tensor, t: Tensor, jet: Jet) -> tuple[Tensor, Tensor, Tensor]:
-        """g - f, the time that remains, and the length of the interval, for the next target of each point."""
-        arrivals = t.new_tensor(list(self.targets))
-        which = torch.searchsorted(arrivals, t[:, 0].contiguous()).clamp_max(len(arrivals) - 1)
+        which, remaining, _ = self._next(t)
         gap = torch.zeros_like(jet.value)
         for i, value in enumerate(self._values):
-            mine = which == i
+            mine = (which == i).to(jet.value.device)
             if mine.any():
                 with torch.no_grad():
                     goal = value(x[mine]).to(jet.value)
                 gap[mine] = goal - jet.value[mine]
+        return -gap / remaining.clamp_min(_SOON).to(jet.value)
+
+    def weight(self, t: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
+        which, remaining, interval = self._next(t)
+        return torch.where(which < len(self.targets), remaining.clamp_min(_SOON) / interval, 1.0)
+
+    def _next(self, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """For each time the number of the next target, the time that remains, and the whole time of its approach.
+
+        After the last target the number is one too many, and nothing moves.
+        """
+        arrivals = t.new_tensor(list(self.targets))
         starts = torch.cat([arrivals.new_tensor([self.since]), arrivals[:-1]])
-        return gap, arrivals[which] - t[:, 0], (arrivals - starts)[which]
+        which = torch.searchsorted(arrivals, t[:, 0].contiguous())
+        i = which.clamp_max(len(arrivals) - 1)
+        return which, arrivals[i] - t[:, 0], (arrivals - starts)[i]
 
 
 def _value(shape: Solid | Field) -> Callable[[Tensor], Tensor]:
     if isinstance(shape, Field):
-        return shape
+        return shape if shape.box is None else Implicit(shape).value
     return (Tabulated(shape) if shape.is_costly else shape).distance

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -70,6 +72,9 @@ class Rotation(VelocityField):
     axis: tuple[float, ...] = (0.0, 1.0, 0.0)
     center: tuple[float, ...] | None = None
 
+    def __post_init__(self) -> None:
+        _check_axis(self, self.axis)
+
     def __call__(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"]) -> Float[Tensor, "n d"]:
         return self.rate * _turn(_relative(x, self.center), self.axis)
 
@@ -93,8 +98,13 @@ class Twist(VelocityField):
     axis: tuple[float, ...] = (0.0, 1.0, 0.0)
     center: tuple[float, ...] | None = None
 
+    def __post_init__(self) -> None:
+        _check_axis(self, self.axis)
+
     def __call__(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"]) -> Float[Tensor, "n d"]:
         y = _relative(x, self.center)
+        if y.shape[1] != 3:
+            raise ValueError(f"{self!r}: a twist needs three space coordinates, and the points have {y.shape[1]}.")
         return self.rate * (y @ _unit(self.axis, y))[:, None] * _turn(y, self.axis)
 
 
@@ -147,22 +157,20 @@ class Transport(LevelSetEquation):
         Novello et al., Neural homotopies (2022), eqs. 2 and 4; Neural Implicit Surface Evolution, ICCV 2023, Sec. 5.1.
     """
 
-    def __init__(self, velocity: Velocity | Sequence[float]) -> None:
-        if callable(velocity):
-            self.velocity: Velocity = velocity
-        elif isinstance(velocity, Sequence) and all(isinstance(v, int | float) for v in velocity):
-            self.velocity = Constant(tuple(float(v) for v in velocity))
-        else:
+    def __init__(self, velocity: Velocity | Sequence[float] | np.ndarray | Tensor) -> None:
+        try:
+            self.velocity: Velocity = velocity if callable(velocity) else Constant(tuple(float(v) for v in velocity))
+        except (TypeError, ValueError):
             raise TypeError(
                 f"Transport({velocity!r}): give the components of a constant velocity, such as (0, 1, 0), "
                 "or a function V(x, t)."
-            )
+            ) from None
 
     def __repr__(self) -> str:
         return f"Transport({self.velocity!r})"
 
     def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
-        return (jet.gradient * self.velocity(x, t)).sum(1) / gradient_norm(jet)
+        return (jet.gradient * self._velocity(x, t)).sum(1) / gradient_norm(jet)
 
     def carry(
         self, x: Float[Tensor, "n d"], start: Float[Tensor, " n"], end: Float[Tensor, " n"], *, steps: int = 32
@@ -171,15 +179,21 @@ class Transport(LevelSetEquation):
         h = (end - start) / steps
         for i in range(steps):
             t = start + i * h
-            k1 = self._velocity(x, t)
-            k2 = self._velocity(x + h[:, None] / 2 * k1, t + h / 2)
-            k3 = self._velocity(x + h[:, None] / 2 * k2, t + h / 2)
-            k4 = self._velocity(x + h[:, None] * k3, t + h)
+            k1 = self._velocity(x, t[:, None])
+            k2 = self._velocity(x + h[:, None] / 2 * k1, (t + h / 2)[:, None])
+            k3 = self._velocity(x + h[:, None] / 2 * k2, (t + h / 2)[:, None])
+            k4 = self._velocity(x + h[:, None] * k3, (t + h)[:, None])
             x = x + h[:, None] / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         return x
 
     def _velocity(self, x: Tensor, t: Tensor) -> Tensor:
-        return self.velocity(x, t[:, None])
+        v = self.velocity(x, t)
+        if v.shape != x.shape:
+            raise ValueError(
+                f"{self!r}: the velocity has the shape {tuple(v.shape)} at points of the shape {tuple(x.shape)}; "
+                "it must return one vector for each point."
+            )
+        return v
 
     def __add__(self, other: Equation) -> Equation:
         if isinstance(other, Transport):
@@ -188,7 +202,16 @@ class Transport(LevelSetEquation):
 
 
 def _relative(x: Tensor, center: tuple[float, ...] | None) -> Tensor:
-    return x if center is None else x - x.new_tensor(center)
+    if center is None:
+        return x
+    if len(center) != x.shape[1]:
+        raise ValueError(f"the center {center} has {len(center)} coordinates, the points have {x.shape[1]}.")
+    return x - x.new_tensor(center)
+
+
+def _check_axis(velocity: VelocityField, axis: tuple[float, ...]) -> None:
+    if len(axis) != 3 or not all(math.isfinite(a) for a in axis) or not any(axis):
+        raise ValueError(f"{velocity!r}: the axis must be three finite numbers, not all zero, such as (0, 1, 0).")
 
 
 def _unit(axis: tuple[float, ...], like: Tensor) -> Tensor:

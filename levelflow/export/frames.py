@@ -81,5 +81,5 @@ def write_frames(
 def file_name(t: float) -> str:
     """`t=+0.100.ply`: the sign and at least three decimals, as many as the time needs to be told from others."""
     t = t + 0.0  # no file is called -0.000
-    text = f"{t:+.3f}" if abs(t - round(t, 3)) < 1e-9 else f"{t:+.9g}"
+    text = f"{t:+.3f}" if float(f"{t:.12g}") == round(t, 3) else f"{t:+.9g}"
     return f"t={text}.ply"

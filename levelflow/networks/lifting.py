@@ -1,9 +1,14 @@
-"""Lifting a trained network of space to one of space and time."""
+"""Lifting a trained network of space to one of space and time, and to another frame."""
 
 from __future__ import annotations
 
+import copy
+from typing import cast
+
+import numpy as np
 import torch
 
+from levelflow.boxes import Frame
 from levelflow.networks.siren import SIREN
 
 
@@ -53,3 +58,20 @@ def lift(network: SIREN, *, time: int = 1, width: int | None = None, generator: 
         lifted.last.weight[:, :n] = network.last.weight
         lifted.last.bias.copy_(network.last.bias)
     return lifted
+
+
+def replaced(network: SIREN, old: Frame, new: Frame) -> SIREN:
+    r"""The network that stands in the frame `new` for what a static network stands for in the frame `old`.
+
+    With $x = c + s u = c' + s' u'$ it is $\tilde g(u') = (s / s')\, g(u)$, exactly; the first
+    and the last layer change.
+    """
+    moved = copy.deepcopy(network)
+    first = cast(torch.nn.Linear, moved.hidden[0])
+    shift = (np.array(new.center) - np.array(old.center)) / old.scale
+    with torch.no_grad():
+        first.bias.add_(first.weight @ first.weight.new_tensor(shift))
+        first.weight.mul_(new.scale / old.scale)
+        moved.last.weight.mul_(old.scale / new.scale)
+        moved.last.bias.mul_(old.scale / new.scale)
+    return moved

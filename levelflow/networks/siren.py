@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import cast
 
 import torch
@@ -61,8 +62,10 @@ class SIREN(Field):
         self.space, self.times = space, time
         self.width, self.depth, self.omega = width, depth, float(omega)
         sizes = [space + time] + [width] * depth
-        self.hidden = nn.ModuleList(nn.Linear(a, b, dtype=dtype) for a, b in zip(sizes, sizes[1:], strict=False))
-        self.last = nn.Linear(width, 1, dtype=dtype)
+        # Not torch's own initial weights, which would use up its global generator.
+        skip = nn.utils.skip_init
+        self.hidden = nn.ModuleList(skip(nn.Linear, a, b, dtype=dtype) for a, b in pairwise(sizes))
+        self.last = skip(nn.Linear, width, 1, dtype=dtype)
         with torch.no_grad():
             for i, layer in enumerate([*self.hidden, self.last]):
                 n = layer.in_features
@@ -78,7 +81,8 @@ class SIREN(Field):
         return jet.affine(self.last.weight, self.last.bias).component(0)
 
     def jet(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"] | None = None, *, order: int = 1) -> Jet:
-        return chain_jet(*self._inputs(x, t), self._hidden(), (self.last.weight, self.last.bias), sine, order=order)
+        x, t = (part.to(self.last.weight.dtype) for part in self._inputs(x, t))
+        return chain_jet(x, t, self._hidden(), (self.last.weight, self.last.bias), sine, order=order)
 
     def forward(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"] | None = None) -> Tensor:
         return self.jet(x, t, order=0).value

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -36,7 +38,7 @@ class Implicit(Shape):
         self.field = field
         self._search = box
 
-    @property
+    @cached_property
     def box(self) -> Box:
         """A box around samples of the surface, grown by a hundredth of its size."""
         points = self.sample(4096, generator=torch.Generator().manual_seed(0)).points
@@ -46,28 +48,36 @@ class Implicit(Shape):
     def sample(self, n: int, *, generator: torch.Generator) -> Samples:
         """n points of the surface by Newton steps from uniform points of the box.
 
-        Uniform points are kept with a chance that falls with |f| / |grad f|, so that the samples come from a thin band
-        around the surface and their density is nearly uniform by area.
+        Only points within a thin band around the surface are taken, by |f| / |grad f|, so that the density of the
+        samples is nearly uniform by area. Where the surface fills little of the box, the search closes in on it.
 
         Raises:
             NoSurface: If the field has no zero in the box.
         """
-        box = self._search
-        thickness = max(box.size) * 0.05
-        found: list[Samples] = []
-        for _ in range(64):
+        box, found, count = self._search, [], 0
+        for attempt in range(64):
             x = box.uniform(8 * n, generator=generator)
-            x = x[self.gap(x) < thickness]
-            x, normals = self._project(x)
-            found.append(Samples(x, normals))
-            if sum(len(s.points) for s in found) >= n:
-                return Samples(
-                    torch.cat([s.points for s in found])[:n].cpu(), torch.cat([s.normals for s in found])[:n].cpu()
-                )
+            x, normals = self._project(x[self.gap(x) < 0.05 * max(box.size)])
+            found.append(Samples(x.cpu(), normals.cpu()))
+            count += len(x)
+            if count >= n:
+                return Samples(torch.cat([s.points for s in found])[:n], torch.cat([s.normals for s in found])[:n])
+            if attempt % 4 == 3:
+                if not count:
+                    if attempt > 8:
+                        break
+                    continue
+                around = Box.around(torch.cat([s.points for s in found]))
+                box = around.expanded(0.1 * max(*around.size, 1e-3 * max(self._search.size)))
         raise NoSurface(
-            f"Implicit.sample: the field has (almost) no zero in the box {box.lower} to {box.upper}; "
-            "its surface has vanished or lies outside."
+            f"Implicit.sample: the field has (almost) no zero in the box {self._search.lower} to "
+            f"{self._search.upper}; its surface has vanished or lies outside."
         )
+
+    def value(self, x: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+        """The field, continued beyond the box where it is known by the distance to that box."""
+        inside = x.clamp(x.new_tensor(self._search.lower), x.new_tensor(self._search.upper))
+        return self.field(inside).to(x) + torch.linalg.vector_norm(x - inside, dim=1)
 
     @torch.no_grad()
     def gap(self, x: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
@@ -83,5 +93,6 @@ class Implicit(Shape):
             step = (jet.value / gradient_norm(jet) ** 2)[:, None] * jet.gradient
             x = x - step.to(x)
         jet = self.field.jet(x, order=1)
-        arrived = (jet.value.abs() / gradient_norm(jet) < 1e-4 * max(self._search.size)) & self._search.contains(x)
-        return x[arrived], normal(jet)[arrived].to(x)
+        arrived = (jet.value.abs() / gradient_norm(jet) < 1e-4 * max(self._search.size)).to(x.device)
+        arrived &= self._search.contains(x)
+        return x[arrived], normal(jet).to(x)[arrived]

@@ -6,7 +6,7 @@ import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple, final
+from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 import torch
@@ -71,6 +71,7 @@ class Mesh(Solid):
     frame: Frame
     name: str
     _told: list[bool] = field(init=False)
+    is_costly: ClassVar[bool] = True  # type: ignore[misc]
 
     def __init__(
         self,

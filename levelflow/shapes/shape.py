@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -39,7 +39,7 @@ class Solid(Shape):
         is_costly: Whether a distance takes so long that it pays to tabulate it.
     """
 
-    is_costly: ClassVar[bool] = False
+    is_costly: bool = False
 
     @abstractmethod
     def distance(self, x: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:

@@ -35,14 +35,18 @@ def write_contents(
         raise ValueError(f"{call}: cannot write {path.name!r}; known extensions are {', '.join(FORMATS)}.")
     if vertices.shape[1] == 2 and extension in (".stl", ".off"):
         raise ValueError(f"{call}: {extension[1:].upper()} holds no curves in the plane; write a .ply or .obj file.")
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"{call}: there is no folder {str(path.parent)!r} to write {path.name!r} in.")
     data = {".ply": _ply, ".obj": _obj, ".off": _off, ".stl": _stl}[extension](vertices, faces, normals)
     replace_file(path, data)
 
 
 def replace_file(path: Path, data: bytes) -> None:
-    """Puts the bytes in a file in one step."""
+    """Puts the bytes in a file in one step.
+
+    Raises:
+        FileNotFoundError: If there is no folder for it.
+    """
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"there is no folder {str(path.parent)!r} to write {path.name!r} in.")
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
     try:
         with os.fdopen(handle, "wb") as file:

@@ -54,7 +54,7 @@ def test_help_does_not_load_the_engine():
 def test_smooth_writes_field_meshes_picture_and_report(run, tmp_path):
     code, out, err = run("smooth", "sphere", "--rate", "0.1", "--times", "-0.1,0,0.2", "-o", tmp_path / "out",
                          "--steps", 150, "--width", 32, "--depth", 2, "--resolution", 48)  # fmt: skip
-    assert (code, err) == (0, "")
+    assert code == 0 and "sharpens before t = 0" in err
     names = sorted(p.name for p in (tmp_path / "out").iterdir())
     assert names == ["field.safetensors", "frames.png", "report.json", "t=+0.000.ply", "t=+0.200.ply", "t=-0.100.ply"]
     report = json.loads((tmp_path / "out" / "report.json").read_text())
@@ -118,6 +118,24 @@ def test_a_point_cloud_is_smoothed(run, tmp_path):
     assert code == 0
 
 
+def test_results_have_a_folder_of_their_own_if_none_is_named(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        code, *_ = run("advect", "sphere", "--times", "0,1", "--steps", 3, "--resolution", 12, *SMALL)
+        assert code == 0 and (tmp_path / "sphere-advect" / "report.json").exists()
+
+
+def test_a_plane_curve_is_moved(run, tmp_path):
+    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    curve = np.stack([np.cos(angle), 0.5 * np.sin(angle)], axis=1)
+    Mesh(curve, np.stack([np.arange(60), np.roll(np.arange(60), -1)], axis=1)).write(tmp_path / "curve.ply")
+    for velocity in ("rotation", "translation"):
+        assert run("advect", tmp_path / "curve.ply", "--velocity", velocity, "-o", tmp_path / velocity, "--steps", 60,
+                   "--times", "0,1", "--resolution", 32, *MEDIUM)[0] == 0  # fmt: skip
+    code, _, err = run("advect", tmp_path / "curve.ply", "--velocity", "twist", "-o", tmp_path / "twist", *SMALL)
+    assert code == 2 and "three space coordinates" in err
+
+
 def test_the_same_seed_gives_the_same_file(run, tmp_path):
     for name in ("a", "b"):
         run("advect", "torus", "-o", tmp_path / name, "--steps", 12, "--times", "0,1", "--resolution", 16, *SMALL)
@@ -143,13 +161,16 @@ def test_a_time_budget_is_kept(run, tmp_path):
         (("smooth", "NAN.obj", "-o", "OUT"), 2, "(?i)nan|not finite"),
         (("smooth", "THREE.xyz", "-o", "OUT"), 2, "3 points"),
         (("smooth", "sphere", "-o", "OUT", "--times", "soon"), 2, "give numbers"),
-        (("smooth", "sphere", "-o", "OUT", "--times", "0"), 2, "say how far to go"),
+        (("smooth", "sphere", "-o", "OUT", "--times", "0"), 2, "ask for other times"),
         (("smooth", "sphere", "-o", "OUT", "--rate", "-1"), 2, "the rate must be positive"),
         (("smooth", "sphere", "-o", "OUT", "--device", "abacus"), 2, "no such kind of device"),
         (("smooth", "sphere", "-o", "OUT", "--steps", "0"), 2, "must be positive"),
         (("smooth", "sphere", "-o", "OUT", "--resolution", "1"), 2, "at least 2 cells"),
         (("smooth", "sphere", "-o", "OUT", "--resume"), 2, "no interrupted run"),
-        (("smooth", "sphere"), 2, "--output"),
+        (("fit", "sphere"), 2, "--output"),
+        (("smooth", "sphere", "-o", "TEXT.obj"), 2, "this is a file"),
+        (("advect", "sphere", "-o", "OUT", "--axis", "0,0,0"), 2, "not all zero"),
+        (("advect", "sphere", "-o", "OUT", "--center", "0,0"), 2, "the shape has 3 coordinates"),
         (("advect", "sphere", "-o", "OUT", "--velocity", "wind"), 2, "known are translation"),
         (("advect", "sphere", "-o", "OUT", "--axis", "up"), 2, "numbers with commas"),
         (("morph", "sphere", "-o", "OUT"), 2, "name at least two"),

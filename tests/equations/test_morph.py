@@ -83,9 +83,9 @@ def test_at_the_arrival_the_error_is_that_of_the_value_and_stays_bounded(generat
     t = torch.ones(200, 1, dtype=torch.float64)
     jet = siren(2, 1).jet(x, t, order=1)
     exact = jet.value - (x.norm(dim=1) - 0.8)
-    assert torch.allclose(Morph(Circle(0.8)).error(x, t, jet), exact)
+    assert torch.allclose(Morph(Circle(0.8)).error(x, t, jet), exact, atol=1e-4)
     late = Morph({0.25: Circle(0.3), 1.0: Circle(0.8)})
-    assert torch.allclose(late.error(x, t, jet), exact / 0.75)
+    assert torch.allclose(late.error(x, t, jet), exact / 0.75, atol=1e-4)
 
 
 def test_the_error_is_the_residual_times_the_part_that_remains(generator: torch.Generator) -> None:

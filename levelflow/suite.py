@@ -1,0 +1,360 @@
+"""The correctness suite: evolutions whose answer is known, and how far a surface is from it.
+
+Every case is solved with the default settings. A row holds the error of a surface or of a time, never of a residual,
+and the limit that it is held to. Lengths are in normalised units: half the longest side of the field's box is 1.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from levelflow import equations
+from levelflow.boxes import Box
+from levelflow.conditions import Sampling
+from levelflow.fields import Field, Placed
+from levelflow.fitting import fit
+from levelflow.minimising import Budget
+from levelflow.networks.siren import SIREN
+from levelflow.shapes import Solid, Sphere, Torus
+from levelflow.shapes.implicit import Implicit
+from levelflow.shapes.shape import Samples
+from levelflow.solving import solve
+
+POINTS = 20_000
+
+
+@dataclass(frozen=True)
+class Row:
+    """One comparison with the truth.
+
+    Attributes:
+        title: What is compared.
+        error: By how much it is off.
+        limit: What it is held to.
+        seconds: How long the field took to train.
+    """
+
+    title: str
+    error: float
+    limit: float
+    seconds: float
+
+    def __str__(self) -> str:
+        missed = "" if self.error <= self.limit else "  missed"
+        return f"{self.title:<48}{self.error:>10.5f}{self.limit:>10.4f}{self.seconds:>9.0f}{missed}"
+
+
+HEADER = f"{'case':<48}{'error':>10}{'limit':>10}{'seconds':>9}"
+
+
+@dataclass(frozen=True)
+class Suite:
+    """What all cases share.
+
+    Attributes:
+        shape: The mesh that is fitted and carried around.
+        name: What rows call it.
+        budget: Of each case.
+        sampling: Of each case.
+    """
+
+    shape: Solid
+    name: str = "mesh"
+    budget: Budget = Budget(steps=1200)  # noqa: RUF009
+    sampling: Sampling = Sampling()  # noqa: RUF009
+
+    def rows(self, cases: Sequence[str]) -> Iterator[Row]:
+        """The rows of the named cases, as they come."""
+        for case in cases:
+            yield from CASES[case](self)
+
+    def solve(self, equation: equations.Equation, **more: object) -> tuple[Placed, float]:
+        """A field with the default network, and the seconds it took."""
+        started = time.perf_counter()
+        field = solve(equation, SIREN(time=1), budget=self.budget, sampling=self.sampling, **more)  # type: ignore[arg-type]
+        return field, time.perf_counter() - started
+
+
+def sphere(suite: Suite) -> Iterator[Row]:
+    """A sphere under mean curvature, r^2 = r0^2 - 4 rate t, until r = 0.45 r0: the relative error of its radius."""
+    radius, rate = 0.5, 0.1
+    last = radius**2 * (1 - 0.45**2) / (4 * rate)
+    field, seconds = suite.solve(equations.MeanCurvature(rate), at={0.0: Sphere(radius)}, until=last)
+    for i in range(0, 11, 2):
+        exact = math.sqrt(radius**2 - 4 * rate * last * i / 10)
+        error = (_radii(field.at(last * i / 10)) / exact - 1).abs().max()
+        yield Row(f"sphere, mean curvature, {i / 10:.1f} of the time, radius", float(error), 1.5e-3, seconds)
+
+
+def sharpening(suite: Suite) -> Iterator[Row]:
+    """A sphere backwards in time: the relative error of its radius."""
+    field, seconds = suite.solve(equations.MeanCurvature(0.1), at={0.0: Sphere(0.5)}, until=-0.2)
+    for t in (-0.1, -0.2):
+        error = (_radii(field.at(t)) / math.sqrt(0.25 - 0.4 * t) - 1).abs().max()
+        yield Row(f"sphere, sharpened to t = {t:g}, radius", float(error), 1.5e-3, seconds)
+
+
+def cylinder(suite: Suite) -> Iterator[Row]:
+    """A long cylinder, r^2 = r0^2 - 2 rate t, until r = 0.45 r0: the relative error in the middle."""
+    radius, rate = 0.4, 0.1
+    last = radius**2 * (1 - 0.45**2) / (2 * rate)
+    tube = Tube(radius, 0.0, 1.0)
+    field, seconds = suite.solve(equations.MeanCurvature(rate), at={0.0: tube}, until=last)
+    for part in (0.0, 0.5, 1.0):
+        exact = math.sqrt(radius**2 - 2 * rate * last * part)
+        points = Implicit(field.at(last * part)).sample(POINTS, generator=_seeded()).points
+        middle = points[points[:, 2].abs() < 0.3]
+        error = (torch.linalg.vector_norm(middle[:, :2], dim=1) / exact - 1).abs().max()
+        yield Row(f"cylinder, mean curvature, {part:.1f} of the time, radius", float(error), 1.5e-3, seconds)
+
+
+def tori(suite: Suite) -> Iterator[Row]:
+    """Tori of radius 1 under mean curvature of rate 1: the relative error of the time of collapse."""
+    for minor, truth in ((0.3, 0.046377), (0.5, 0.136979)):
+        field, seconds = suite.solve(equations.MeanCurvature(1.0), at={0.0: Torus(1.0, minor)}, until=1.1 * truth)
+        found = _last_time(field, _section(0.4, 1.3, 0.3), 0.3 * truth, 1.1 * truth)
+        yield Row(f"torus r = {minor:g}, collapse, time", abs(found / truth - 1), 0.01, seconds)
+    for minor, truth in ((0.7, 0.0818), (0.8, 0.0267)):
+        field, seconds = suite.solve(equations.MeanCurvature(1.0), at={0.0: Torus(1.0, minor)}, until=1.15 * truth)
+        found = _change(lambda t, f=field: _at_origin(f, t) > 0, 0.0, 1.15 * truth)  # type: ignore[misc]
+        yield Row(f"torus r = {minor:g}, hole closes, time", abs(found / truth - 1), 0.01, seconds)
+
+
+def corrugated(suite: Suite) -> Iterator[Row]:
+    """Corrugated cylinders r = 0.3 - a cos(pi z) of rate 1: the relative error of the time at which they pinch off."""
+    for depth, truth in ((0.1, 0.024243), (0.2, 0.006183)):
+        tube = Tube(0.3, depth, 1.2)
+        field, seconds = suite.solve(equations.MeanCurvature(1.0), at={0.0: tube}, until=1.15 * truth)
+        found = _change(lambda t, f=field: _at_origin(f, t) < 0, 0.0, 1.15 * truth)  # type: ignore[misc]
+        yield Row(f"corrugated cylinder a = {depth:g}, pinch, time", abs(found / truth - 1), 0.01, seconds)
+
+
+def moved(suite: Suite) -> Iterator[Row]:
+    """The mesh carried by velocity fields: the mean distance from where characteristics bring it."""
+    box = suite.shape.box
+    size, center = max(box.size), box.center
+    head, body = (tuple(c + s * 0.2 * size for c in center) for s in (1, -1))
+    width = 0.2 * size
+    motions: dict[str, equations.VelocityField] = {
+        "translation": equations.Constant((0.5 * size, 0.2 * size, 0.0)),
+        "rotation by 90 degrees": equations.Rotation(math.pi / 2, center=center),
+        "twist": equations.Twist(2 / size, center=center),
+        "source and sink": equations.Source(body, 1.0, width) + equations.Source(head, -1.0, width),
+    }
+    for title, velocity in motions.items():
+        motion = equations.Transport(velocity)
+        field, seconds = suite.solve(motion, at={0.0: suite.shape}, until=1.0)
+        error = max(_mean_distance(field, t, suite.shape, motion) for t in (0.0, 0.5, 1.0))
+        yield Row(f"{title} of {suite.name}, mean distance", error, 1e-3, seconds)
+
+
+def standing(suite: Suite) -> Iterator[Row]:
+    """A torus that stands still: its mean distance from itself."""
+    ring = Torus(0.5, 0.2)
+    field, seconds = suite.solve(equations.Stationary(), at={0.0: ring}, until=1.0)
+    error = max(_mean_distance(field, t, ring, equations.Stationary()) for t in (0.0, 0.5, 1.0))
+    yield Row("torus, standing still, mean distance", error, 5e-4, seconds)
+
+
+def enright(suite: Suite) -> Iterator[Row]:
+    """Enright's deformation of a small sphere, which comes back after its period: volume and mean distance."""
+    ball = Sphere(0.15, center=(0.35, 0.35, 0.35))
+    motion = equations.Transport(_enright)
+    field, seconds = suite.solve(motion, at={0.0: ball}, until=3.0, box=Box((0.0,) * 3, (1.0,) * 3))
+    x = torch.rand(2_000_000, 3, generator=_seeded(), dtype=torch.float64) * 0.4 + 0.15
+    with torch.no_grad():
+        inside = torch.cat([field.at(3.0)(part) < 0 for part in x.split(1 << 17)]).double().mean()
+    truth = (torch.linalg.vector_norm(x - 0.35, dim=1) < 0.15).double().mean()
+    yield Row("Enright's deformation, volume at the end", float(abs(inside / truth - 1)), 0.01, seconds)
+    error = _mean_distance(field, 3.0, ball, equations.Stationary())
+    yield Row("Enright's deformation, mean distance at the end", error, 1e-3, seconds)
+    points = ball.sample(POINTS, generator=_seeded()).points
+    carried = motion.carry(points, torch.zeros(POINTS).double(), torch.full((POINTS,), 1.5).double(), steps=128)
+    gap = float(Implicit(field.at(1.5)).gap(carried).mean()) / field.box.frame.scale
+    yield Row("Enright's deformation, mean distance half way", gap, 1e-3, seconds)
+
+
+def morph(suite: Suite) -> Iterator[Row]:
+    """Concentric spheres morphed, r(t) linear; shifted ones at both ends."""
+    small, large = Sphere(0.4), Sphere(0.8)
+    field, seconds = suite.solve(equations.Morph(large), at={0.0: small, 1.0: large})
+    for t in (0.0, 0.5, 1.0):
+        error = (_radii(field.at(t)) - 0.4 - 0.4 * t).abs().max() / field.box.frame.scale
+        yield Row(f"concentric spheres, t = {t:.1f}, radius", float(error), 1e-3, seconds)
+    ends = {0.0: Sphere(0.4, center=(-0.2, 0.0, 0.0)), 1.0: Sphere(0.5, center=(0.3, 0.0, 0.0))}
+    field, seconds = suite.solve(equations.Morph(ends[1.0]), at=ends)
+    for t, end in ends.items():
+        error = torch.tensor(_mean_distance(field, t, end, equations.Stationary()))
+        yield Row(f"shifted spheres, t = {t:.1f}, mean distance", float(error), 5e-4, seconds)
+
+
+def rates(suite: Suite) -> Iterator[Row]:
+    """A torus under mean curvature: dA/dt = -rate int kappa^2 and dV/dt = -rate int kappa, by differences in time."""
+    from levelflow.curvature import total_curvature
+    from levelflow.extraction import extract
+
+    rate = 0.1
+    field, seconds = suite.solve(equations.MeanCurvature(rate), at={0.0: Torus(0.6, 0.25)}, until=0.1)
+    t, dt = 0.05, 0.02
+    before, now, after = (extract(field.at(t + s * dt), resolution=96, refine=3) for s in (-1, 0, 1))
+    points = now.sample(POINTS, generator=_seeded()).points
+    with torch.no_grad():
+        kappa = total_curvature(field.at(t).jet(points, order=2)).double()
+    truth = -rate * now.area * float((kappa**2).mean()), -rate * now.area * float(kappa.mean())
+    found = (after.area - before.area) / (2 * dt), (after.volume - before.volume) / (2 * dt)
+    yield Row("torus, rate of the area", abs(found[0] / truth[0] - 1), 0.02, seconds)
+    yield Row("torus, rate of the volume", abs(found[1] / truth[1] - 1), 0.02, seconds)
+
+
+def given(suite: Suite) -> Iterator[Row]:
+    """Shapes fitted: the mean distance of the surface."""
+    cases: tuple[tuple[str, Solid, float], ...] = (
+        ("sphere", Sphere(0.5), 5e-4),
+        ("torus", Torus(0.5, 0.2), 5e-4),
+        (suite.name, suite.shape, 1.5e-3),
+    )
+    for title, shape, limit in cases:
+        started = time.perf_counter()
+        field = fit(SIREN(), shape, budget=suite.budget, sampling=suite.sampling)
+        error = field.provenance["accuracy"]["mean"] / field.box.frame.scale
+        yield Row(f"fit of {title}, mean distance", error, limit, time.perf_counter() - started)
+
+
+CASES: dict[str, Callable[[Suite], Iterator[Row]]] = {
+    "sphere": sphere,
+    "sharpening": sharpening,
+    "cylinder": cylinder,
+    "tori": tori,
+    "corrugated": corrugated,
+    "moved": moved,
+    "standing": standing,
+    "enright": enright,
+    "morph": morph,
+    "rates": rates,
+    "fit": given,
+}
+
+
+class Tube(Solid):
+    """The solid of revolution of $r(z) = r_0 - a \\cos \\pi z$ about the z axis, cut to $|z| \\le h$.
+
+    The distance is that to the profile in its half plane, to a fine polygon of it: exact to 1e-6 of the radius.
+    """
+
+    def __init__(self, radius: float, depth: float, reach: float) -> None:
+        self.radius, self.depth, self.reach = radius, depth, reach
+        z = torch.linspace(-2 * reach, 2 * reach, 4001, dtype=torch.float64)
+        self._profile = torch.stack([self._r(z), z], dim=1)
+
+    @property
+    def box(self) -> Box:
+        r = self.radius + abs(self.depth)
+        return Box((-r, -r, -self.reach), (r, r, self.reach))
+
+    def sample(self, n: int, *, generator: torch.Generator) -> Samples:
+        """Uniform in z and in the angle."""
+        u = torch.rand(n, 2, generator=generator, dtype=torch.float64)
+        z, angle = (2 * u[:, 0] - 1) * self.reach, 2 * math.pi * u[:, 1]
+        slope = self.depth * math.pi * torch.sin(math.pi * z)
+        around = torch.stack([torch.cos(angle), torch.sin(angle), torch.zeros(n, dtype=torch.float64)], dim=1)
+        normals = around - slope[:, None] * torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+        points = self._r(z)[:, None] * around + z[:, None] * torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+        return Samples(points, normals / torch.linalg.vector_norm(normals, dim=1, keepdim=True))
+
+    def distance(self, x: Tensor) -> Tensor:
+        from scipy.spatial import cKDTree
+
+        p = torch.stack([torch.linalg.vector_norm(x[:, :2], dim=1), x[:, 2]], dim=1).double().cpu()
+        nearest = torch.from_numpy(cKDTree(self._profile.numpy()).query(p.numpy())[1])
+        best = torch.full((len(p),), torch.inf, dtype=torch.float64)
+        for i in (nearest.clamp_min(1) - 1, nearest.clamp_max(len(self._profile) - 2)):
+            start, along = self._profile[i], self._profile[i + 1] - self._profile[i]
+            part = (((p - start) * along).sum(1) / (along * along).sum(1)).clamp(0, 1)
+            best = torch.minimum(best, torch.linalg.vector_norm(p - start - part[:, None] * along, dim=1))
+        return (best * (p[:, 0] - self._r(p[:, 1])).sign()).to(x)
+
+    def _r(self, z: Tensor) -> Tensor:
+        return self.radius - self.depth * torch.cos(math.pi * z)
+
+
+def _enright(x: Tensor, t: Tensor) -> Tensor:
+    """Enright's divergence-free field on the unit cube, which runs backwards after half of its period of 3."""
+    s, d = torch.sin(math.pi * x) ** 2, torch.sin(2 * math.pi * x)
+    v = torch.stack(
+        [2 * s[:, 0] * d[:, 1] * d[:, 2], -d[:, 0] * s[:, 1] * d[:, 2], -d[:, 0] * d[:, 1] * s[:, 2]], dim=1
+    )
+    return v * torch.cos(math.pi * t / 3)
+
+
+def _mean_distance(field: Placed, t: float, shape: Solid, motion: equations.Equation) -> float:
+    """The mean distance between the surface at time t and the shape, carried along exact characteristics.
+
+    Both ways, and the greater mean counts: points of the shape carried forward, to the surface to first order; points
+    of the surface carried back, to the shape exactly.
+    """
+
+    def carried(x: Tensor, start: float, end: float) -> Tensor:
+        y = motion.carry(x, x.new_full((len(x),), start), x.new_full((len(x),), end), steps=64)
+        assert y is not None
+        return y
+
+    generator, surface = _seeded(), Implicit(field.at(t))
+    there = shape.distance(carried(surface.sample(POINTS, generator=generator).points, t, 0.0)).abs().mean()
+    here = surface.gap(carried(shape.sample(POINTS, generator=generator).points, 0.0, t)).mean()
+    return max(float(there), float(here)) / field.box.frame.scale
+
+
+def _radii(field: Field) -> Tensor:
+    """The distances of points of the surface from the origin, found along rays by bisection."""
+    directions = torch.randn(2000, 3, generator=_seeded(), dtype=torch.float64)
+    directions = directions / torch.linalg.vector_norm(directions, dim=1, keepdim=True)
+    low, high = torch.zeros(2000, dtype=torch.float64), torch.ones(2000, dtype=torch.float64)
+    with torch.no_grad():
+        for _ in range(40):
+            middle = (low + high) / 2
+            inside = field(middle[:, None] * directions) < 0
+            low, high = torch.where(inside, middle, low), torch.where(inside, high, middle)
+    return low
+
+
+def _at_origin(field: Placed, t: float) -> float:
+    return float(field.at(t)(torch.zeros(1, 3, dtype=torch.float64)))
+
+
+def _section(first: float, last: float, height: float) -> list[Tensor]:
+    """Points of half planes through the z axis, at twelve angles."""
+    rho, z = torch.meshgrid(
+        torch.linspace(first, last, 181, dtype=torch.float64),
+        torch.linspace(-height, height, 121, dtype=torch.float64),
+        indexing="ij",
+    )
+    rho, z = rho.reshape(-1), z.reshape(-1)
+    angles = [2 * math.pi * i / 12 for i in range(12)]
+    return [torch.stack([rho * math.cos(a), rho * math.sin(a), z], dim=1) for a in angles]
+
+
+def _last_time(field: Placed, sections: Sequence[Tensor], first: float, last: float) -> float:
+    """When the surface vanishes from half planes, on average over them."""
+    times = []
+    for points in sections:
+        times.append(_change(lambda t, x=points: float(field.at(t)(x).min()) < 0, first, last))  # type: ignore[misc]
+    return sum(times) / len(times)
+
+
+@torch.no_grad()
+def _change(holds: Callable[[float], bool], first: float, last: float) -> float:
+    """The time at which what holds at first ends, by bisection."""
+    for _ in range(40):
+        middle = (first + last) / 2
+        first, last = (middle, last) if holds(middle) else (first, middle)
+    return first
+
+
+def _seeded() -> torch.Generator:
+    return torch.Generator().manual_seed(1)

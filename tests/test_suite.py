@@ -1,0 +1,47 @@
+import math
+
+import pytest
+import torch
+
+from levelflow import Budget, Cuboid, Sampling
+from levelflow.shapes import Cylinder
+from levelflow.suite import CASES, Row, Suite, Tube, _enright
+
+
+def test_a_tube_without_waves_has_the_distance_of_a_cylinder(generator):
+    x = torch.rand(500, 3, generator=generator, dtype=torch.float64) * 2 - 1
+    x[:, 2] *= 0.5
+    near = Cylinder(0.4, 20.0).distance(x)
+    assert torch.allclose(Tube(0.4, 0.0, 1.0).distance(x), near, atol=1e-12)
+
+
+def test_samples_of_a_tube_lie_on_it_and_their_normals_are_the_gradients_of_the_distance(generator):
+    tube = Tube(0.3, 0.1, 1.0)
+    points, normals = tube.sample(300, generator=generator)
+    assert tube.distance(points).abs().max() < 1e-5
+    step = 1e-3
+    assert (tube.distance(points + step * normals) - step).abs().max() < 2e-5
+    assert torch.allclose(normals.norm(dim=1), torch.ones(300).double())
+
+
+def test_enrights_field_is_free_of_divergence_and_odd_in_time(generator):
+    x = torch.rand(50, 3, generator=generator, dtype=torch.float64).requires_grad_()
+    t = torch.full((50, 1), 0.4, dtype=torch.float64)
+    v = _enright(x, t)
+    divergence = sum(torch.autograd.grad(v[:, i].sum(), x, retain_graph=True)[0][:, i] for i in range(3))
+    assert divergence.abs().max() < 1e-12
+    assert torch.allclose(_enright(x, 3 - t), -v)
+
+
+def test_a_row_says_when_a_limit_is_missed():
+    assert str(Row("sphere", 0.5, 0.1, 3.0)).endswith("missed")
+    assert "missed" not in str(Row("sphere", 0.05, 0.1, 3.0))
+    assert "missed" in str(Row("sphere", math.nan, 0.1, 3.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_every_case_runs(case):
+    suite = Suite(Cuboid((1.0, 0.6, 0.4), radius=0.1), "block", Budget(steps=60), Sampling(n=512, given=5000))
+    rows = list(suite.rows([case]))
+    assert rows and all(row.error >= 0 and row.seconds > 0 for row in rows)

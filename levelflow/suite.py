@@ -84,12 +84,11 @@ class Suite:
 def sphere(suite: Suite) -> Iterator[Row]:
     """A sphere under mean curvature, r^2 = r0^2 - 4 rate t, until r = 0.45 r0: the relative error of its radius."""
     radius, rate = 0.5, 0.1
-    last = radius**2 * (1 - 0.45**2) / (4 * rate)
-    field, seconds = suite.solve(equations.MeanCurvature(rate), at={0.0: Sphere(radius)}, until=last)
-    for i in range(0, 11, 2):
-        exact = math.sqrt(radius**2 - 4 * rate * last * i / 10)
-        error = (_radii(field.at(last * i / 10)) / exact - 1).abs().max()
-        yield Row(f"sphere, mean curvature, {i / 10:.1f} of the time, radius", float(error), 1.5e-3, seconds)
+    field, seconds = suite.solve(equations.MeanCurvature(rate), at={0.0: Sphere(radius)}, until=0.5)
+    for i in range(6):
+        exact = math.sqrt(radius**2 - 4 * rate * i / 10)
+        error = (_radii(field.at(i / 10)) / exact - 1).abs().max()
+        yield Row(f"sphere, mean curvature, t = {i / 10:.1f}, radius", float(error), 1.5e-3, seconds)
 
 
 def sharpening(suite: Suite) -> Iterator[Row]:

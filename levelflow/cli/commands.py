@@ -315,7 +315,7 @@ def bench(
     ] = "rounded-cuboid",
     steps: Annotated[int, typer.Option(help="Training steps of each case.")] = DEFAULT_STEPS,
 ) -> None:
-    """Solve evolutions whose answer is known, and say how far off the surfaces are; exit code 1 if a limit is missed."""
+    """Solve evolutions whose answer is known, and say how far off they are; exit code 1 if a limit is missed."""
     import torch
 
     from levelflow.minimising import Budget

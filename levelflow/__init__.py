@@ -41,6 +41,7 @@ _HOMES = {
     "Sphere": "shapes",
     "Torus": "shapes",
     "Translated": "shapes",
+    "Transported": "transported",
     "contact_sheet": "rendering.images",
     "extract": "extraction",
     "fit": "fitting",
@@ -86,6 +87,7 @@ if TYPE_CHECKING:
     )
     from levelflow.shapes.implicit import Implicit
     from levelflow.solving import solve
+    from levelflow.transported import Transported
 
 
 def __getattr__(name: str) -> Any:

@@ -172,7 +172,7 @@ def minimise(
         if acting != before_acting:
             before_acting, since = acting, progress.step
         if progress.step < since + 10:
-            reference = max(total, reference if progress.step > since else 0.0)
+            reference = max(total, reference if progress.step > since else 1e-6)
         elif total > _BLOWN_UP * reference:
             _revert(
                 parameters, good, f"step {progress.step + 1}: the loss has grown from {reference:.2g} to {total:.2g}"

@@ -23,7 +23,7 @@ LEVELS = (
     ("fields", "optimising"),
     ("networks", "shapes", "minimising"),
     ("equations", "conditions", "elasticity", "extraction", "measures", "progress"),
-    ("motion", "rendering"),
+    ("motion", "rendering", "transported"),
     ("flows",),
     ("fitting", "solving", "evolution", "deformation", "filtering", "recovery"),
     ("saving", "export", "suite", "viewer"),

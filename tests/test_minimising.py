@@ -279,3 +279,18 @@ def test_a_gradient_that_is_no_number_is_no_good_state_either() -> None:
 def test_a_budget_is_positive(budget: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Budget(**budget)
+
+
+def test_a_loss_that_blows_up_is_a_divergence() -> None:
+    class Bursting(Scripted):
+        def loss(self, *batch: Tensor) -> Tensor:
+            return self.at(self.step) + (self.parameter**2).sum() + batch[0]
+
+    term = Bursting(point(3, 2), lambda step: 1.0 if step <= 40 else 1e6)
+    with pytest.raises(Divergence, match=r"diverged at step 41: the loss has grown from 1 to 1e\+06"):
+        minimise([term.parameter], [term], budget=Budget(steps=100), generator=seeded())
+
+
+def test_there_must_be_something_to_optimise() -> None:
+    with pytest.raises(ValueError, match="none of the parameters requires a gradient"):
+        minimise([point(1, 1).requires_grad_(False)], [], budget=Budget(steps=1), generator=seeded())

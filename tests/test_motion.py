@@ -15,8 +15,10 @@ from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Rotation, Transport
 from levelflow.fields import Field, Placed
+from levelflow.jets import Jet
 from levelflow.minimising import Budget, minimise
 from levelflow.motion import Blend, Carried, Motion
+from levelflow.networks.siren import SIREN
 from levelflow.shapes.analytic import Circle
 from tests.fields import Explicit, siren
 
@@ -212,3 +214,27 @@ def test_a_blend_acts_until_it_is_said_to() -> None:
     placed = Placed(siren(2, 1), BOX)
     assert Blend(placed, [given(Circle(0.5, center=(3, -0.5)), BOX)], [2.0], n=10, until=0.25).until == 0.25
     assert Motion(placed, Stationary(), n=10, since=0.25).since == 0.25
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_an_equation_without_units_has_the_same_loss_in_all_units(scale: float) -> None:
+    def loss(scale: float) -> Tensor:
+        field = Placed(SIREN(2, 1, width=8, depth=2), Box((-scale, -scale), (scale, scale), ((0.0, 1.0),)))
+        z = torch.rand(50, 3, generator=torch.Generator().manual_seed(0))
+        return Motion(field, Eikonal(), n=4).loss(z).sum()
+
+    assert torch.allclose(loss(scale), loss(1.0), rtol=1e-4)
+
+
+def test_an_equation_sees_points_far_from_the_origin_exactly() -> None:
+    seen = []
+
+    class Look(Stationary):
+        def speed(self, x: Tensor, t: Tensor, jet: Jet) -> Tensor:
+            seen.append(x)
+            return torch.zeros_like(jet.value)
+
+    box = Box((4e6, 4e6), (4e6 + 2, 4e6 + 2), ((0.0, 1.0),))
+    z = torch.rand(50, 3, generator=torch.Generator().manual_seed(0))
+    Motion(Placed(SIREN(2, 1, width=8, depth=2), box), Look(), n=4).loss(z)
+    assert (seen[0] - (4e6 + 1 + z[:, :2].double())).abs().max() < 1e-6

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from levelflow import SIREN, Box, Budget, Circle, Divergence, Rectangle, Sampling, equations, fit, solve
+from levelflow import SIREN, Box, Budget, Circle, Divergence, Rectangle, Sampling, equations, extract, fit, solve
 from levelflow.shapes.cloud import PointCloud
 from levelflow.shapes.implicit import Implicit
 
@@ -170,3 +170,20 @@ def test_a_start_may_lie_in_another_box(generator):
     with torch.no_grad():
         assert (moved.at(0.0)(x) - start(x)).abs().max() < 0.1
     assert moved.box.upper == (5.0, 2.0)
+
+
+def test_what_is_given_must_be_a_shape_or_a_field(unchecked):
+    with pytest.raises(TypeError, match=r"'bunny.obj' is neither a shape nor a field"):
+        solve(equations.Stationary(), network(), at={0.0: "bunny.obj"}, until=1.0)
+    with pytest.raises(ValueError, match=r"has 3 space coordinates, a shape has 2"):
+        solve(equations.Stationary(), SIREN(3, 1), at={0.0: Circle(0.5)}, until=1.0)
+    with pytest.raises(ValueError, match="does not contain the given surface"):
+        solve(equations.Stationary(), network(), at={0.0: Circle(0.5)}, until=1.0, box=Box((5.0, 5.0), (6.0, 6.0)))
+
+
+def test_a_fitted_field_that_leaves_its_own_box_brings_no_ghosts():
+    start = fit(SIREN(2, width=32, depth=2), Circle(0.5), **QUICK)
+    field = solve(equations.Transport((2.0, 0.0)), network(), at={0.0: start}, until=1.0, **QUICK)
+    for t in (0.0, 1.0):
+        curve = extract(field.at(t), resolution=64)
+        assert curve.components == 1 and abs(curve.volume / (math.pi / 4) - 1) < 0.05

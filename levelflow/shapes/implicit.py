@@ -67,8 +67,12 @@ class Implicit(Shape):
                     if attempt > 8:
                         break
                     continue
+                # A few points show only a part of the surface, so the box around them is widened; and they go, for
+                # they are denser or sparser than those of the new box.
                 around = Box.around(torch.cat([s.points for s in found]))
-                box = around.expanded(0.1 * max(*around.size, 1e-3 * max(self._search.size)))
+                margin = 1.0 if count < 200 else 0.1
+                box = around.expanded(margin * max(*around.size, 1e-3 * max(self._search.size)))
+                found, count = [], 0
         raise NoSurface(
             f"Implicit.sample: the field has (almost) no zero in the box {self._search.lower} to "
             f"{self._search.upper}; its surface has vanished or lies outside."

@@ -9,9 +9,12 @@ import pytest
 import torch
 from torch import Tensor
 
+from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.morph import Morph
 from levelflow.shapes.analytic import Circle, Sphere
 from levelflow.shapes.cloud import PointCloud
+from levelflow.shapes.mesh import Mesh
+from levelflow.shapes.tabulated import Tabulated
 from tests.fields import Explicit, siren
 
 
@@ -121,3 +124,26 @@ def test_a_target_without_a_distance_is_refused() -> None:
 def test_a_target_comes_after_the_departure(until: float) -> None:
     with pytest.raises(ValueError, match=rf"a target at t = {until:g} is not after the departure at t = 0"):
         Morph(Circle(0.8), until=until)
+
+
+def test_a_mesh_is_tabulated() -> None:
+    angle = torch.arange(40) / 40 * 2 * math.pi
+    curve = Mesh(
+        torch.stack([angle.cos(), angle.sin()], dim=1).double().numpy(), [[i, (i + 1) % 40] for i in range(40)]
+    )
+    assert isinstance(Morph(curve)._values[0].__self__, Tabulated)  # type: ignore[attr-defined]
+
+
+def test_after_the_last_target_nothing_moves(generator: torch.Generator) -> None:
+    x, t = samples(1.2, 2, generator)
+    jet = siren(2, 1).jet(x, t, order=1)
+    assert torch.equal(Morph(Circle(0.8)).speed(x, t, jet), torch.zeros_like(jet.value))
+
+
+def test_with_another_motion_the_error_stays_bounded_at_the_arrival(generator: torch.Generator) -> None:
+    x, _ = samples(0, 1, generator)
+    jet = siren(2, 1).jet(x, torch.ones(200, 1).double(), order=2)
+    both = Morph(Circle(0.8)) + MeanCurvature(0.1)
+    for t in (0.999, 1 - 1e-9, 1.0):
+        alone = Morph(Circle(0.8)).error(x, torch.full((200, 1), t).double(), jet)
+        assert (both.error(x, torch.full((200, 1), t).double(), jet) - alone).abs().max() < 0.1

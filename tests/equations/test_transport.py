@@ -223,3 +223,24 @@ def test_a_source_has_a_positive_reach(width: float) -> None:
 def test_a_velocity_field_without_values_says_so() -> None:
     with pytest.raises(NotImplementedError):
         VelocityField()(torch.zeros(1, 2), torch.zeros(1, 1))
+
+
+@pytest.mark.parametrize("axis", [(0.0, 0.0, 0.0), (0.0, 1.0), (0.0, math.nan, 1.0)])
+@pytest.mark.parametrize("velocity", [Rotation, Twist])
+def test_an_axis_is_a_direction(velocity: type, axis: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="the axis must be three finite numbers, not all zero"):
+        velocity(1.0, axis)
+
+
+def test_what_does_not_fit_the_points_is_refused() -> None:
+    x, t = torch.zeros(4, 2).double(), torch.zeros(4, 1).double()
+    with pytest.raises(ValueError, match="a twist needs three space coordinates"):
+        Twist(1.0)(x, t)
+    with pytest.raises(ValueError, match="has 3 coordinates, the points have 2"):
+        Rotation(1.0, center=(0.0, 0.0, 0.0))(x, t)
+    with pytest.raises(ValueError, match=r"the velocity has the shape \(4,\) at points of the shape \(4, 2\)"):
+        Transport(lambda x, t: x[:, 0]).carry(x, t[:, 0], t[:, 0] + 1)
+
+
+def test_a_constant_velocity_may_be_an_array() -> None:
+    assert repr(Transport(np.array([1, 0]))) == repr(Transport(torch.tensor([1, 0]))) == repr(Transport((1, 0)))

@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
-from levelflow.networks.lifting import lift
+from levelflow.boxes import Box
+from levelflow.fields import Placed
+from levelflow.networks.lifting import lift, replaced
 from levelflow.networks.siren import SIREN
 from tests.fields import siren
 
@@ -66,3 +68,17 @@ def test_a_network_of_space_time_is_not_lifted_again() -> None:
 def test_lifting_does_not_make_narrower() -> None:
     with pytest.raises(ValueError, match=r"lift\(width=8\): the network has width 16; lifting cannot make it narrower"):
         lift(siren(2), width=8)
+
+
+def test_a_network_stands_for_the_same_field_in_another_frame(generator: torch.Generator) -> None:
+    old, new = Box((1.0, -2.0), (4.0, 3.0)), Box((-5.0, -5.0), (9.0, 6.0))
+    network = SIREN(2, width=8, depth=2, dtype=torch.float64)
+    moved = Placed(replaced(network, old.frame, new.frame), new)
+    x = old.uniform(50, generator=generator)
+    assert torch.allclose(moved(x), Placed(network, old)(x), atol=1e-12)
+
+
+def test_making_a_network_leaves_the_global_generator_alone() -> None:
+    before = torch.get_rng_state()
+    SIREN(2, 1, width=8).at(0.5)
+    assert torch.equal(torch.get_rng_state(), before)

@@ -93,3 +93,19 @@ def test_a_field_without_a_box_needs_one() -> None:
         ValueError, match=r"the field has no box; say where its surface is with Implicit\(field, box=...\)"
     ):
         Implicit(siren(2))
+
+
+@pytest.mark.parametrize("radius", [0.05, 0.01])
+def test_a_surface_that_fills_little_of_the_box_is_found(generator: torch.Generator, radius: float) -> None:
+    ball = Explicit(lambda x, t: x.norm(dim=1) - radius, 3, 0, box=Box((-1.0,) * 3, (1.0,) * 3))
+    points, normals = Implicit(ball).sample(500, generator=generator)
+    assert torch.allclose(points.norm(dim=1), torch.full((500,), radius).double(), rtol=1e-3)
+    assert points.mean(0).norm() < 0.2 * radius
+    assert torch.allclose(normals, points / points.norm(dim=1, keepdim=True), atol=1e-6)
+
+
+def test_beyond_its_box_a_field_goes_on_as_the_distance_to_the_box() -> None:
+    ball = Explicit(lambda x, t: x.norm(dim=1) - 0.5, 2, 0, box=Box((-1.0, -1.0), (1.0, 1.0)))
+    x = torch.tensor([[0.2, 0.0], [3.0, 0.0], [1.0, -2.0]]).double()
+    expected = torch.tensor([-0.3, 0.5 + 2.0, math.sqrt(2) - 0.5 + 1.0]).double()
+    assert torch.allclose(Implicit(ball).value(x), expected)

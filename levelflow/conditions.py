@@ -13,7 +13,7 @@ from torch import Tensor
 from levelflow.boxes import Box
 from levelflow.fields import Field
 from levelflow.minimising import Batch
-from levelflow.shapes.implicit import Implicit
+from levelflow.shapes.implicit import Implicit, value_of
 from levelflow.shapes.shape import Shape, Solid
 
 Key = Shape | Field
@@ -94,11 +94,8 @@ class Given:
         frame = box.frame
         surface = surface_of(key)
         drawn = surface.sample(n, generator=generator)
-        value: Callable[[Tensor], Tensor]
-        if isinstance(surface, Implicit):
-            value = surface.value
-        elif isinstance(surface, Solid):
-            value = surface.distance
+        if isinstance(key, Solid | Field):
+            value = value_of(key)
         else:
             value = _estimated_distance(drawn.points, drawn.normals)
         points = frame.to_unit(drawn.points)

@@ -13,7 +13,7 @@ from levelflow.boxes import Box
 from levelflow.conditions import Given, OffSurface, OnSurface, Sampling, box_around, surface_of
 from levelflow.fields import Field, Placed
 from levelflow.measures import accuracy
-from levelflow.minimising import Budget, Divergence, Progress, Term, minimise
+from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
 from levelflow.networks.siren import SIREN
 from levelflow.shapes.shape import Shape
 
@@ -23,7 +23,7 @@ def fit(
     shape: Shape | Field,
     *,
     box: Box | None = None,
-    budget: Budget = Budget(steps=1200),  # noqa: B008
+    budget: Budget = DEFAULT_BUDGET,
     sampling: Sampling = Sampling(),  # noqa: B008
     seed: int = 0,
     on_step: Callable[[Progress], None] | None = None,

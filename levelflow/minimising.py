@@ -67,6 +67,10 @@ class Budget:
         return min(1.0, max(parts))
 
 
+DEFAULT_BUDGET = Budget(steps=1200)
+"""What `fit` and `solve` take if nothing is said: about a minute on two cores."""
+
+
 @dataclass
 class Progress:
     """Where a minimisation stands; given to `on_step` after each step.

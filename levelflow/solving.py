@@ -16,7 +16,7 @@ from levelflow.conditions import Given, Key, OffSurface, OnSurface, Sampling, bo
 from levelflow.equations.equation import Equation
 from levelflow.fields import Placed
 from levelflow.measures import accuracy
-from levelflow.minimising import Budget, Divergence, Progress, Term, minimise
+from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
 from levelflow.motion import Blend, Carried, Motion
 from levelflow.networks.lifting import lift, replaced
 from levelflow.networks.siren import SIREN
@@ -31,7 +31,7 @@ def solve(
     until: float | Sequence[float] | None = None,
     start: Placed | None = None,
     box: Box | None = None,
-    budget: Budget = Budget(steps=1200),  # noqa: B008
+    budget: Budget = DEFAULT_BUDGET,
     sampling: Sampling = Sampling(),  # noqa: B008
     warm_up: float = 0.25,
     seed: int = 0,

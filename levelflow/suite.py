@@ -20,7 +20,7 @@ from levelflow.boxes import Box
 from levelflow.conditions import Sampling
 from levelflow.fields import Field, Placed
 from levelflow.fitting import fit
-from levelflow.minimising import Budget
+from levelflow.minimising import DEFAULT_BUDGET, Budget
 from levelflow.networks.siren import SIREN
 from levelflow.shapes import Solid, Sphere, Torus
 from levelflow.shapes.implicit import Implicit
@@ -67,7 +67,7 @@ class Suite:
 
     shape: Solid
     name: str = "mesh"
-    budget: Budget = Budget(steps=1200)  # noqa: RUF009
+    budget: Budget = DEFAULT_BUDGET
     sampling: Sampling = Sampling()  # noqa: RUF009
 
     def rows(self, cases: Sequence[str]) -> Iterator[Row]:
@@ -187,13 +187,13 @@ def morph(suite: Suite) -> Iterator[Row]:
     small, large = Sphere(0.4), Sphere(0.8)
     field, seconds = suite.solve(equations.Morph(large), at={0.0: small, 1.0: large})
     for t in (0.0, 0.5, 1.0):
-        error = (_radii(field.at(t)) - 0.4 - 0.4 * t).abs().max() / field.box.frame.scale
-        yield Row(f"concentric spheres, t = {t:.1f}, radius", float(error), 1e-3, seconds)
+        error = float((_radii(field.at(t)) - 0.4 - 0.4 * t).abs().max()) / field.box.frame.scale
+        yield Row(f"concentric spheres, t = {t:.1f}, radius", error, 1e-3, seconds)
     ends = {0.0: Sphere(0.4, center=(-0.2, 0.0, 0.0)), 1.0: Sphere(0.5, center=(0.3, 0.0, 0.0))}
     field, seconds = suite.solve(equations.Morph(ends[1.0]), at=ends)
     for t, end in ends.items():
-        error = torch.tensor(_mean_distance(field, t, end, equations.Stationary()))
-        yield Row(f"shifted spheres, t = {t:.1f}, mean distance", float(error), 5e-4, seconds)
+        error = _mean_distance(field, t, end, equations.Stationary())
+        yield Row(f"shifted spheres, t = {t:.1f}, mean distance", error, 5e-4, seconds)
 
 
 def rates(suite: Suite) -> Iterator[Row]:

@@ -10,7 +10,7 @@ from levelflow.boxes import Box
 from levelflow.equations.equation import Equation
 from levelflow.fields import Field
 from levelflow.jets import Jet
-from levelflow.shapes.implicit import Implicit
+from levelflow.shapes.implicit import value_of
 from levelflow.shapes.shape import Solid
 
 
@@ -43,7 +43,7 @@ class Transported(Field):
         if motion.carry(origin, now, now) is None:
             raise ValueError(f"Transported: {motion!r} depends on the surface and has no characteristics; solve it.")
         self.motion, self.time, self.steps = motion, time, steps
-        self.value = Implicit(shape).value if isinstance(shape, Field) else shape.distance
+        self.value = value_of(shape)
         self.box, self.space, self.times = box, box.space, 1
 
     def forward(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"] | None = None) -> Float[Tensor, " n"]:

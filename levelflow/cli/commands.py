@@ -13,7 +13,6 @@ from levelflow._version import __version__
 from levelflow.cli.names import (
     box_of,
     builtin,
-    device_named,
     half_box,
     key_named,
     numbers_in,
@@ -26,10 +25,8 @@ from levelflow.cli.names import (
 from levelflow.cli.running import (
     CHECKPOINT,
     CHECKPOINT_SECONDS,
-    DEFAULT_STEPS,
     Run,
     accuracy_in_words,
-    budget,
     evolve,
     folder_for,
     training,
@@ -53,7 +50,10 @@ ShapeArgument = Annotated[str, typer.Argument(metavar="SHAPE", help="A mesh, a p
 Folder = Annotated[
     Path | None, typer.Option("--output", "-o", help="The folder for the results [default: SHAPE-VERB].")
 ]
-Steps = Annotated[int | None, typer.Option(help="Training steps. By default 1200, or as many as --seconds allows.")]
+Steps = Annotated[
+    int | None,
+    typer.Option(help="Training steps. By default 1200, or, where there is --seconds, as many as it allows."),
+]
 Seconds = Annotated[float | None, typer.Option(help="Training time; takes the place of the default number of steps.")]
 Seed = Annotated[int, typer.Option(help="Of every random choice.")]
 Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:1, ...")]
@@ -115,10 +115,7 @@ def fit(
     depth: Depth = 3,
 ) -> None:
     """Fit a field to a shape, and say how accurate it is."""
-    import torch
-
     from levelflow.fitting import fit as fit_field
-    from levelflow.networks.siren import SIREN
     from levelflow.saving import Checkpoint, save
 
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
@@ -134,10 +131,9 @@ def fit(
         seconds=CHECKPOINT_SECONDS,
     )
     with training(run, f"fitting {shape}", kept) as (on_step, state):
-        network = SIREN(surface.box.space, width=width, depth=depth, generator=torch.Generator().manual_seed(seed)).to(
-            device_named(device)
+        field = fit_field(
+            run.network(surface.box.space), surface, budget=run.budget(), seed=seed, on_step=on_step, state=state
         )
-        field = fit_field(network, surface, budget=budget(run), seed=seed, on_step=on_step, state=state)
     field.provenance["inputs"] = [shape]
     save(field, output)
     kept.remove()
@@ -168,7 +164,7 @@ def smooth(
 
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
     key = key_named(shape)
-    unit = half_box(key)
+    unit = half_box(box_of(key))
     if rate is None:
         rate, relative = 1e-3, True
     equation = MeanCurvature(rate * unit**2 if relative else rate)
@@ -208,7 +204,8 @@ def advect(
 
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
     key = key_named(shape)
-    unit, box = half_box(key), box_of(key)
+    box = box_of(key)
+    unit = half_box(box)
     middle = box.center if center is None else numbers_in(center, "--center")
     if len(middle) != box.space:
         raise ValueError(f"--center {center}: the shape has {box.space} coordinates; give as many numbers.")
@@ -313,12 +310,12 @@ def bench(
     shape: Annotated[
         str, typer.Option("--mesh", metavar="SHAPE", help="What is carried around and fitted.")
     ] = "rounded-cuboid",
-    steps: Annotated[int, typer.Option(help="Training steps of each case.")] = DEFAULT_STEPS,
+    steps: Steps = None,
 ) -> None:
     """Solve evolutions whose answer is known, and say how far off they are; exit code 1 if a limit is missed."""
     import torch
 
-    from levelflow.minimising import Budget
+    from levelflow.minimising import DEFAULT_BUDGET, Budget
     from levelflow.shapes import Solid
     from levelflow.suite import CASES, HEADER, Suite
 
@@ -327,9 +324,10 @@ def bench(
     solid = solid_named(shape)
     if not isinstance(solid, Solid):
         raise ValueError(f"bench --mesh {shape}: give a mesh or a built-in shape.")
-    typer.echo(f"{torch.get_num_threads()} threads, PyTorch {torch.__version__}, {steps} steps each\n{HEADER}")
+    each = DEFAULT_BUDGET if steps is None else Budget(steps)
+    typer.echo(f"{torch.get_num_threads()} threads, PyTorch {torch.__version__}, {each.steps} steps each\n{HEADER}")
     missed = False
-    for row in Suite(solid, Path(shape).stem, Budget(steps)).rows(cases or list(CASES)):
+    for row in Suite(solid, Path(shape).stem, each).rows(cases or list(CASES)):
         typer.echo(str(row))
         missed |= not row.error <= row.limit
     if missed:

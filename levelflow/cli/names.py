@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import torch
@@ -17,7 +17,18 @@ if TYPE_CHECKING:
     from levelflow.fields import Field
     from levelflow.shapes import Shape, Solid
 
-BUILTINS = ("sphere", "cuboid", "rounded-cuboid", "torus", "cylinder", "capsule", "dumbbell")
+_BUILTINS: dict[str, Callable[[Any], Solid]] = {
+    "sphere": lambda shapes: shapes.Sphere(0.5),
+    "cuboid": lambda shapes: shapes.Cuboid((1.0, 1.0, 1.0)),
+    "rounded-cuboid": lambda shapes: shapes.Cuboid((1.0, 1.0, 1.0), radius=0.15),
+    "torus": lambda shapes: shapes.Torus(0.5, 0.2),
+    "cylinder": lambda shapes: shapes.Cylinder(0.3, 1.0),
+    "capsule": lambda shapes: shapes.Capsule(0.3, 0.8),
+    "dumbbell": lambda shapes: shapes.Rotated(shapes.Dumbbell(0.3, 1.0, 0.12), math.pi / 2, (0.0, 1.0, 0.0)),
+}
+"""Built-in shapes, made from the module `levelflow.shapes`, which is loaded when one of them is asked for."""
+
+BUILTINS = tuple(_BUILTINS)
 
 
 def key_named(text: str) -> Key:
@@ -69,16 +80,7 @@ def builtin(name: str) -> Solid:
     """A built-in shape, about a unit in size."""
     from levelflow import shapes
 
-    made: dict[str, Callable[[], Solid]] = {
-        "sphere": lambda: shapes.Sphere(0.5),
-        "cuboid": lambda: shapes.Cuboid((1.0, 1.0, 1.0)),
-        "rounded-cuboid": lambda: shapes.Cuboid((1.0, 1.0, 1.0), radius=0.15),
-        "torus": lambda: shapes.Torus(0.5, 0.2),
-        "cylinder": lambda: shapes.Cylinder(0.3, 1.0),
-        "capsule": lambda: shapes.Capsule(0.3, 0.8),
-        "dumbbell": lambda: shapes.Rotated(shapes.Dumbbell(0.3, 1.0, 0.12), math.pi / 2, (0.0, 1.0, 0.0)),
-    }
-    return made[name]()
+    return _BUILTINS[name](shapes)
 
 
 def velocity_named(
@@ -158,11 +160,11 @@ def box_of(key: Key) -> Box:
     return surface_of(key).box
 
 
-def half_box(key: Key) -> float:
+def half_box(box: Box) -> float:
     """The length that `--relative` counts in: half the longest side of the box that a field for the shape has."""
     from levelflow.conditions import box_around
 
-    return box_around([box_of(key)]).frame.scale
+    return box_around([box]).frame.scale
 
 
 def warn_of_distance(names: Sequence[str], boxes: Sequence[Box]) -> None:

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from levelflow.equations import Equation
     from levelflow.export.frames import Frame
     from levelflow.minimising import Budget, Progress
+    from levelflow.networks.siren import SIREN
     from levelflow.saving import Checkpoint
 
 CHECKPOINT_SECONDS = float(os.environ.get("LEVELFLOW_CHECKPOINT_SECONDS", "5"))
 """How often a run is saved while it goes on; the environment variable is for tests and for slow disks."""
-DEFAULT_STEPS = 1200
 CHECKPOINT = "checkpoint.safetensors"
 
 
@@ -48,6 +48,24 @@ class Run:
     def say(self, text: str) -> None:
         if not self.quiet:
             typer.echo(text)
+
+    def network(self, space: int, time: int = 0) -> SIREN:
+        """A new network on the device, its initial weights from the seed."""
+        import torch
+
+        from levelflow.networks.siren import SIREN
+
+        generator = torch.Generator().manual_seed(self.seed)
+        network = SIREN(space, time, width=self.width, depth=self.depth, generator=generator)
+        return network.to(device_named(self.device))
+
+    def budget(self) -> Budget:
+        """The steps or seconds that the run may take."""
+        from levelflow.minimising import DEFAULT_BUDGET, Budget
+
+        if self.steps is None and self.seconds is None:
+            return DEFAULT_BUDGET
+        return Budget(self.steps, self.seconds)
 
     def settings(self, verb: str, inputs: Sequence[str], **more: Any) -> dict[str, Any]:
         """What a resumed run must have in common with the one that was interrupted."""
@@ -81,7 +99,6 @@ def evolve(
     from levelflow.conditions import surface_of
     from levelflow.export.frames import write_frames
     from levelflow.measures import residual_table
-    from levelflow.networks.siren import SIREN
     from levelflow.saving import Checkpoint, save
     from levelflow.shapes.writing import replace_file
     from levelflow.solving import solve
@@ -98,12 +115,10 @@ def evolve(
     settings = run.settings(verb, inputs, equation=repr(equation), times=[min(times), max(times)])
     kept = Checkpoint(folder / CHECKPOINT, settings=settings, seconds=CHECKPOINT_SECONDS)
     with training(run, f"{verb} {' '.join(inputs)}", kept) as (on_step, state):
-        network = SIREN(
-            space, 1, width=run.width, depth=run.depth, generator=torch.Generator().manual_seed(run.seed)
-        ).to(device_named(run.device))
         field = solve(
-            equation, network, at=at, until=times, budget=budget(run), seed=run.seed, on_step=on_step, state=state
-        )
+            equation, run.network(space, 1), at=at, until=times, budget=run.budget(), seed=run.seed, on_step=on_step,
+            state=state,
+        )  # fmt: skip
     trained = time.perf_counter()
     field.provenance["inputs"] = list(inputs)
     save(field, folder / "field.safetensors")
@@ -177,13 +192,6 @@ def training(
 def folder_for(shapes: Sequence[str], verb: str) -> Path:
     """`armadillo-smooth`, or `spot-bob-morph`."""
     return Path("-".join([*(Path(shape).stem for shape in shapes), verb]))
-
-
-def budget(run: Run) -> Budget:
-    """The steps or seconds that a run may take."""
-    from levelflow.minimising import Budget
-
-    return Budget(DEFAULT_STEPS if run.steps is None and run.seconds is None else run.steps, run.seconds)
 
 
 def accuracy_in_words(accuracy: dict[str, float] | None, box: Box) -> str:

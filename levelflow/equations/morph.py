@@ -11,7 +11,7 @@ from torch import Tensor
 from levelflow.equations.equation import LevelSetEquation
 from levelflow.fields import Field
 from levelflow.jets import Jet
-from levelflow.shapes.implicit import Implicit
+from levelflow.shapes.implicit import value_of
 from levelflow.shapes.shape import Solid
 from levelflow.shapes.tabulated import Tabulated
 
@@ -89,6 +89,4 @@ class Morph(LevelSetEquation):
 
 
 def _value(shape: Solid | Field) -> Callable[[Tensor], Tensor]:
-    if isinstance(shape, Field):
-        return shape if shape.box is None else Implicit(shape).value
-    return (Tabulated(shape) if shape.is_costly else shape).distance
+    return value_of(Tabulated(shape) if isinstance(shape, Solid) and shape.is_costly else shape)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import torch
@@ -11,11 +12,18 @@ from torch import Tensor
 from levelflow.boxes import Box
 from levelflow.curvature import gradient_norm, normal
 from levelflow.fields import Field
-from levelflow.shapes.shape import Samples, Shape
+from levelflow.shapes.shape import Samples, Shape, Solid
 
 
 class NoSurface(ValueError):
     """The field has no zero where it was looked for."""
+
+
+def value_of(key: Solid | Field) -> Callable[[Tensor], Tensor]:
+    """The distance to a solid, or the values of a field, continued beyond its box if it has one."""
+    if isinstance(key, Solid):
+        return key.distance
+    return key if key.box is None else Implicit(key).value
 
 
 class Implicit(Shape):

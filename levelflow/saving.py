@@ -4,38 +4,47 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from torch import Tensor
 
 from levelflow._version import __version__
 from levelflow.boxes import Box
+from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, Velocity
 from levelflow.fields import Placed
 from levelflow.minimising import Progress
 from levelflow.networks.siren import SIREN
 from levelflow.shapes.writing import replace_file
+from levelflow.transported import Transported
 
-FORMAT = 1
+FORMAT = 2
 _KEY = "levelflow"
+_VELOCITIES: dict[str, Any] = {kind.__name__: kind for kind in (Constant, Rotation, Twist, Source)}
 
 
-def save(field: Placed, path: str | Path) -> None:
+def save(field: Placed | Transported, path: str | Path) -> None:
     """Writes a field to a safetensors file whose header rebuilds it: architecture, box, times and provenance.
 
-    The file appears whole or not at all. The same field gives the same bytes.
+    A `Transported` field is the network that is carried and the velocities that carry it. The file appears whole or
+    not at all. The same field gives the same bytes.
 
     Raises:
-        TypeError: If the field is not one that `fit` or `solve` returns.
+        TypeError: If the field is not one that `fit` or `solve` returns, or such a field carried by the velocity
+            fields of this library.
         OSError: If the file cannot be written.
     """
-    network = field.field if isinstance(field, Placed) else None
-    if not isinstance(network, SIREN):
+    carried = field.shape if isinstance(field, Transported) else field
+    network = carried.field if isinstance(carried, Placed) else None
+    if not isinstance(carried, Placed) or not isinstance(network, SIREN):
+        what = type(field).__name__ + (f" of a {type(carried).__name__}" if carried is not field else "")
         raise TypeError(
-            f"save: cannot write a {type(field).__name__}; fields from fit and solve, and their slices, can be saved."
+            f"save: cannot write a {what}; fields from fit and solve, their slices, and fields from fit that are "
+            "Transported can be saved."
         )
-    header = {
+    header: dict[str, Any] = {
         "kind": "field",
         "network": {
             "type": "SIREN",
@@ -45,13 +54,21 @@ def save(field: Placed, path: str | Path) -> None:
             "depth": network.depth,
             "omega": network.omega,
         },
-        "box": {"lower": field.box.lower, "upper": field.box.upper, "times": field.box.times},
+        "box": _described(carried.box),
         "provenance": field.provenance,
     }
+    if isinstance(field, Transported):
+        header["transported"] = {
+            "velocities": _velocities(field),
+            "box": _described(field.box),
+            "time": field.time,
+            "steps": field.steps,
+            "shape": carried.provenance,
+        }
     _write(path, {name: value.detach().cpu() for name, value in network.state_dict().items()}, header)
 
 
-def load(path: str | Path) -> Placed:
+def load(path: str | Path) -> Placed | Transported:
     """Reads a field written by `save`. Nothing in the file is executed.
 
     Raises:
@@ -61,7 +78,7 @@ def load(path: str | Path) -> Placed:
     path = Path(path)
     tensors, header = _read(path, kind="field")
     try:
-        shape, box = header["network"], header["box"]
+        shape = header["network"]
         if shape["type"] != "SIREN":
             raise ValueError(f"its network is a {shape['type']!r}, which this version does not know")
         network = SIREN(
@@ -69,12 +86,52 @@ def load(path: str | Path) -> Placed:
             dtype=tensors["last.weight"].dtype,
         )  # fmt: skip
         network.load_state_dict(tensors)
-        times = tuple((first, last) for first, last in box["times"])
-        field = Placed(network, Box(tuple(box["lower"]), tuple(box["upper"]), times))
+        field: Placed | Transported = Placed(network, _box(header["box"]))
+        if (carried := header.get("transported")) is not None:
+            field.provenance = dict(carried["shape"])
+            field = Transported(
+                Transport(_velocity(carried["velocities"])), field, box=_box(carried["box"]), time=carried["time"],
+                steps=carried["steps"],
+            )  # fmt: skip
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"load: the header of {path.name!r} does not describe its content: {error}.") from None
     field.provenance = dict(header.get("provenance", {}))
     return field
+
+
+def _described(box: Box) -> dict[str, Any]:
+    return {"lower": box.lower, "upper": box.upper, "times": box.times}
+
+
+def _box(described: Mapping[str, Any]) -> Box:
+    times = tuple((first, last) for first, last in described["times"])
+    return Box(tuple(described["lower"]), tuple(described["upper"]), times)
+
+
+def _velocities(field: Transported) -> list[dict[str, Any]]:
+    """The velocity fields whose sum carries a field, as plain values."""
+    velocity = field.motion.velocity if isinstance(field.motion, Transport) else None
+    parts = velocity.velocities if isinstance(velocity, SumOfVelocities) else (velocity,)
+    described = []
+    for part in parts:
+        if not isinstance(part, tuple(_VELOCITIES.values())):
+            raise TypeError(
+                f"save: cannot write a field carried by {part!r}, since files hold no code; "
+                f"{', '.join(_VELOCITIES)} and their sums can be saved. Distil the field into a network with solve."
+            )
+        described.append({"type": type(part).__name__, **asdict(cast(Any, part))})
+    return described
+
+
+def _velocity(described: Sequence[Mapping[str, Any]]) -> Velocity:
+    """The sum of the described velocity fields."""
+    parts = []
+    for one in described:
+        values = {key: tuple(v) if isinstance(v, list) else v for key, v in one.items() if key != "type"}
+        if one["type"] not in _VELOCITIES:
+            raise ValueError(f"its velocity is a {one['type']!r}, which this version does not know")
+        parts.append(_VELOCITIES[one["type"]](**values))
+    return parts[0] if len(parts) == 1 else SumOfVelocities(tuple(parts))
 
 
 class Checkpoint:

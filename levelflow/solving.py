@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from levelflow.boxes import Box
-from levelflow.conditions import Given, Key, OffSurface, OnSurface, Sampling, box_around, surface_of
+from levelflow.conditions import Given, Key, OffSurface, OnSurface, Sampling, surface_of
 from levelflow.equations.equation import Equation
 from levelflow.fields import Placed
 from levelflow.measures import accuracy
@@ -20,7 +20,7 @@ from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, T
 from levelflow.motion import Blend, Carried, Motion
 from levelflow.networks.lifting import lift, replaced
 from levelflow.networks.siren import SIREN
-from levelflow.shapes.shape import Shape
+from levelflow.transported import reach
 
 
 def solve(
@@ -92,7 +92,7 @@ def solve(
             f"It is trained back to t = {interval[0]:g}; keep such intervals short.",
             stacklevel=2,
         )
-    box = (box or _reach(equation, surfaces, interval)).during(interval)
+    box = (box or reach(equation, surfaces, interval)).during(interval)
     generator = torch.Generator().manual_seed(seed)
     if start is not None:
         network = _lifted(start, network, box, generator)
@@ -143,21 +143,6 @@ def _interval(at: Mapping[float, Key], until: float | Sequence[float] | None) ->
     if min(times) == max(times):
         raise ValueError(f"solve: all is given at t = {times[0]:g}; say how far to go with until=...")
     return min(times), max(times)
-
-
-def _reach(equation: Equation, surfaces: Mapping[float, Shape], interval: tuple[float, float]) -> Box:
-    """A box around the given surfaces, and around where the motion carries them if it can be told beforehand."""
-    first, last = interval
-    boxes = []
-    for t0, surface in surfaces.items():
-        boxes.append(surface.box)
-        x = surface.sample(2000, generator=torch.Generator().manual_seed(0)).points
-        start = torch.full((len(x),), float(t0), dtype=torch.float64)
-        for t in torch.linspace(first, last, 17).tolist():
-            carried = equation.carry(x, start, torch.full_like(start, t))
-            if carried is not None:
-                boxes.append(Box.around(carried))
-    return box_around(boxes)
 
 
 def _lifted(start: Placed, network: SIREN, box: Box, generator: torch.Generator) -> SIREN:

@@ -3,8 +3,8 @@ import math
 import pytest
 import torch
 
-from levelflow import Box, Circle, Rectangle, extract
-from levelflow.equations import MeanCurvature, Rotation, Source, Stationary, Transport
+from levelflow import SIREN, Box, Circle, Placed, Rectangle, extract
+from levelflow.equations import Constant, MeanCurvature, Rotation, Source, Stationary, Transport
 from levelflow.shapes import Sphere
 from levelflow.suite import _enright
 from levelflow.transported import Transported
@@ -47,8 +47,35 @@ def test_enrights_deformation_keeps_the_volume_and_comes_back():
     assert abs(mesh.volume / (4 / 3 * math.pi * 0.15**3) - 1) < 0.02
 
 
+def test_left_to_itself_it_finds_its_box_and_its_steps(generator):
+    """A disk that moves by 2 and grows: the box holds it at every time, and the error of its place is below 1e-5."""
+    motion = Transport(Constant((1.0, 0.0)) + Source((2.0, 0.0), 1.0, 0.5))
+    field = Transported(motion, Circle(0.5), until=(-0.5, 2.0))
+    assert field.box.times == ((-0.5, 2.0),)
+    assert field.box.lower[0] < -1.0 and field.box.upper[0] > 2.5
+    x, t = field.box.uniform(100, generator=generator), field.box.uniform_times(100, generator=generator)
+    finer = Transported(motion, Circle(0.5), box=field.box, steps=1024)
+    assert 4 <= field.steps < 256
+    assert (field(x, t) - finer(x, t)).abs().max() < 1e-5 * max(field.box.size)
+
+
+def test_a_fitted_field_is_carried_with_its_jets(generator):
+    """Also beyond the box of the fit, where the field is continued."""
+    static = Placed(SIREN(2, width=8, depth=2, dtype=torch.float64), Box((-1.0, -1.0), (1.0, 1.0)))
+    field = Transported(Transport(Rotation(1.0)), static, box=PLANE.expanded(0.5))
+    x, t = field.box.uniform(100, generator=generator), field.box.uniform_times(100, generator=generator)
+    jet, oracle = field.jet(x, t, order=2), differentiated(field, x, t)
+    for name in ("value", "gradient", "dt", "hessian"):
+        assert torch.isfinite(getattr(jet, name)).all()
+        assert torch.allclose(getattr(jet, name), getattr(oracle, name).detach(), atol=1e-8)
+    assert list(field.parameters())
+
+
 def test_wrong_use_is_explained():
     with pytest.raises(ValueError, match="has no characteristics"):
         Transported(MeanCurvature(1.0), Circle(0.5), box=PLANE)
     with pytest.raises(ValueError, match="the box has 0 times"):
         Transported(Stationary(), Circle(0.5), box=PLANE.during())
+    for until in (None, 0.0):
+        with pytest.raises(ValueError, match=r"given at t = 0; say how far to go"):
+            Transported(Stationary(), Circle(0.5), until=until)

@@ -187,6 +187,9 @@ def advect(
     axis: Annotated[str, typer.Option(help="Direction of a rotation or twist, x,y,z.")] = "0,1,0",
     center: Annotated[str | None, typer.Option(help="A point x,y,z [default: the centre of the box].")] = None,
     reach: Annotated[float | None, typer.Option(help="Width of a source or sink, a length.")] = None,
+    distil: Annotated[
+        bool, typer.Option("--distil", help="Train one network in space and time: less exact, with nothing to carry.")
+    ] = False,
     times: Times = "0:1:5",
     relative: Relative = False,
     resolution: Resolution = 128,
@@ -199,7 +202,7 @@ def advect(
     width: Width = 128,
     depth: Depth = 3,
 ) -> None:
-    """Carry a shape along a velocity field."""
+    """Carry a shape along a velocity field: the field fitted to it, on characteristics."""
     from levelflow.equations import SumOfVelocities, Transport
 
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
@@ -219,7 +222,7 @@ def advect(
     ]  # fmt: skip
     equation = Transport(velocities[0] if len(velocities) == 1 else SumOfVelocities(tuple(velocities)))
     folder = output or folder_for([shape], "advect")
-    evolve(run, "advect", [shape], {0.0: key}, equation, times_in(times), folder, resolution=resolution)
+    evolve(run, "advect", [shape], {0.0: key}, equation, times_in(times), folder, resolution=resolution, distil=distil)
 
 
 @app.command()

@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     from levelflow.conditions import Key
     from levelflow.equations import Equation
     from levelflow.export.frames import Frame
+    from levelflow.fields import Placed
     from levelflow.minimising import Budget, Progress
     from levelflow.networks.siren import SIREN
     from levelflow.saving import Checkpoint
+    from levelflow.transported import Transported
 
 CHECKPOINT_SECONDS = float(os.environ.get("LEVELFLOW_CHECKPOINT_SECONDS", "5"))
 """How often a run is saved while it goes on; the environment variable is for tests and for slow disks."""
@@ -92,8 +94,12 @@ def evolve(
     *,
     resolution: int,
     title: str | None = None,
+    distil: bool = True,
 ) -> list[Frame]:
-    """Solves, and writes the field, the meshes, the contact sheet and the report."""
+    """Solves, and writes the field, the meshes, the contact sheet and the report.
+
+    Without `distil` the first shape is fitted and carried along the characteristics of the equation.
+    """
     import torch
 
     from levelflow.conditions import surface_of
@@ -112,13 +118,17 @@ def evolve(
     folder.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
     space = box_of(next(iter(at.values()))).space
-    settings = run.settings(verb, inputs, equation=repr(equation), times=[min(times), max(times)])
+    settings = run.settings(verb, inputs, equation=repr(equation), times=[min(times), max(times)], distil=distil)
     kept = Checkpoint(folder / CHECKPOINT, settings=settings, seconds=CHECKPOINT_SECONDS)
     with training(run, f"{verb} {' '.join(inputs)}", kept) as (on_step, state):
-        field = solve(
-            equation, run.network(space, 1), at=at, until=times, budget=run.budget(), seed=run.seed, on_step=on_step,
-            state=state,
-        )  # fmt: skip
+        field: Placed | Transported
+        if distil:
+            field = solve(
+                equation, run.network(space, 1), at=at, until=times, budget=run.budget(), seed=run.seed,
+                on_step=on_step, state=state,
+            )  # fmt: skip
+        else:
+            field = _carried(run, at, equation, times, on_step, state)
     trained = time.perf_counter()
     field.provenance["inputs"] = list(inputs)
     save(field, folder / "field.safetensors")
@@ -149,6 +159,35 @@ def evolve(
         run.say(f"at t = {t}: {accuracy_in_words(accuracy, field.box)}")
     run.say(f"{folder}: field.safetensors, {sum(f.mesh is not None for f in frames)} meshes, frames.png, report.json")
     return frames
+
+
+def _carried(
+    run: Run,
+    at: dict[float, Key],
+    equation: Equation,
+    times: Sequence[float],
+    on_step: Callable[[Progress], None],
+    state: dict[str, Tensor] | None,
+) -> Transported:
+    """The one given shape, fitted by a network unless it is a field already, carried along characteristics."""
+    from levelflow.conditions import surface_of
+    from levelflow.fields import Field, Placed
+    from levelflow.fitting import fit
+    from levelflow.measures import accuracy
+    from levelflow.transported import Transported
+
+    ((time, key),) = at.items()
+    static = key if isinstance(key, Field) else None
+    if static is None:
+        surface = surface_of(key)
+        static = fit(
+            run.network(surface.box.space), surface, budget=run.budget(), seed=run.seed, on_step=on_step, state=state
+        )
+    field = Transported(equation, static, until=times, time=time)
+    made = static.provenance if isinstance(static, Placed) else {}
+    field.provenance = {**made, "verb": "transport", "equation": repr(equation), "steps": made.get("steps", 0)}
+    field.provenance["accuracy"] = {f"{time:.15g}": accuracy(field.at(time), surface_of(key), seed=run.seed)}
+    return field
 
 
 @contextmanager

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
 import torch
@@ -25,6 +27,12 @@ class VelocityField:
     def __call__(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"]) -> Float[Tensor, "n d"]:
         raise NotImplementedError
 
+    def flow(
+        self, x: Float[Tensor, "n d"], start: Float[Tensor, " n"], end: Float[Tensor, " n"]
+    ) -> Float[Tensor, "n d"] | None:
+        """Where points at the times `start` are at the times `end`, if there is a formula for it; else None."""
+        return None
+
     def __add__(self, other: Velocity) -> SumOfVelocities:
         return SumOfVelocities((self, other))
 
@@ -36,7 +44,7 @@ class SumOfVelocities(VelocityField):
     velocities: tuple[Velocity, ...]
 
     def __call__(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"]) -> Float[Tensor, "n d"]:
-        return torch.stack([velocity(x, t) for velocity in self.velocities]).sum(0)
+        return reduce(add, (velocity(x, t) for velocity in self.velocities))
 
 
 @dataclass(frozen=True)
@@ -56,6 +64,9 @@ class Constant(VelocityField):
                 f"the points have {x.shape[1]} coordinates."
             )
         return x.new_tensor(self.velocity).expand_as(x)
+
+    def flow(self, x: Float[Tensor, "n d"], start: Float[Tensor, " n"], end: Float[Tensor, " n"]) -> Tensor:
+        return x + (end - start)[:, None] * self(x, start[:, None])
 
 
 @dataclass(frozen=True)
@@ -77,6 +88,10 @@ class Rotation(VelocityField):
 
     def __call__(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"]) -> Float[Tensor, "n d"]:
         return self.rate * _turn(_relative(x, self.center), self.axis)
+
+    def flow(self, x: Float[Tensor, "n d"], start: Float[Tensor, " n"], end: Float[Tensor, " n"]) -> Tensor:
+        y = _relative(x, self.center)
+        return x - y + _turned(y, self.axis, self.rate * (end - start))
 
 
 @dataclass(frozen=True)
@@ -103,9 +118,17 @@ class Twist(VelocityField):
 
     def __call__(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"]) -> Float[Tensor, "n d"]:
         y = _relative(x, self.center)
+        return self._rate(y)[:, None] * _turn(y, self.axis)
+
+    def flow(self, x: Float[Tensor, "n d"], start: Float[Tensor, " n"], end: Float[Tensor, " n"]) -> Tensor:
+        y = _relative(x, self.center)
+        return x - y + _turned(y, self.axis, self._rate(y) * (end - start))
+
+    def _rate(self, y: Tensor) -> Tensor:
+        """The angular velocity at points relative to the center, (n,)."""
         if y.shape[1] != 3:
             raise ValueError(f"{self!r}: a twist needs three space coordinates, and the points have {y.shape[1]}.")
-        return self.rate * (y @ _unit(self.axis, y))[:, None] * _turn(y, self.axis)
+        return self.rate * (y @ _unit(self.axis, y))
 
 
 @dataclass(frozen=True)
@@ -175,7 +198,14 @@ class Transport(LevelSetEquation):
     def carry(
         self, x: Float[Tensor, "n d"], start: Float[Tensor, " n"], end: Float[Tensor, " n"], *, steps: int = 32
     ) -> Float[Tensor, "n d"]:
-        """The characteristics from the times `start` to the times `end`, by Runge and Kutta's fourth-order method."""
+        """The characteristics from the times `start` to the times `end`.
+
+        By the formula of the velocity field if it has one, else by Runge and Kutta's fourth-order method.
+        """
+        if isinstance(self.velocity, VelocityField):
+            carried = self.velocity.flow(x, start, end)
+            if carried is not None:
+                return carried
         h = (end - start) / steps
         for i in range(steps):
             t = start + i * h
@@ -219,8 +249,19 @@ def _unit(axis: tuple[float, ...], like: Tensor) -> Tensor:
     return a / torch.linalg.vector_norm(a)
 
 
+def _turned(y: Tensor, axis: tuple[float, ...], angle: Float[Tensor, " n"]) -> Float[Tensor, "n d"]:
+    """y turned about the axis, in the plane about the origin, by an angle for each point: Rodrigues' formula."""
+    side = _turn(y, axis)
+    if y.shape[1] == 2:
+        return angle.cos()[:, None] * y + angle.sin()[:, None] * side
+    a = _unit(axis, y)
+    along = (y @ a)[:, None] * a
+    return along + angle.cos()[:, None] * (y - along) + angle.sin()[:, None] * side
+
+
 def _turn(y: Tensor, axis: tuple[float, ...]) -> Tensor:
     """a x y in space; a quarter turn of y in the plane."""
     if y.shape[1] == 2:
         return torch.stack([-y[:, 1], y[:, 0]], dim=1)
-    return torch.linalg.cross(_unit(axis, y).expand_as(y), y)
+    a1, a2, a3 = _unit(axis, y).tolist()
+    return y @ y.new_tensor([[0.0, a3, -a2], [-a3, 0.0, a1], [a2, -a1, 0.0]])

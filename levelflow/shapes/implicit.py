@@ -89,7 +89,10 @@ class Implicit(Shape):
     def value(self, x: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
         """The field, continued beyond the box where it is known by the distance to that box."""
         inside = x.clamp(x.new_tensor(self._search.lower), x.new_tensor(self._search.upper))
-        return self.field(inside).to(x) + torch.linalg.vector_norm(x - inside, dim=1)
+        # A root whose derivatives are zero, not infinite, where nothing lies beyond the box.
+        beyond = ((x - inside) ** 2).sum(1)
+        out = beyond > 0
+        return self.field(inside).to(x) + torch.where(out, beyond.where(out, 1.0).sqrt(), 0.0)
 
     @torch.no_grad()
     def gap(self, x: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:

@@ -155,7 +155,8 @@ def test_a_constant_velocity_carries_points_exactly_in_one_step(generator: torch
 def test_the_error_of_carrying_falls_with_the_fourth_power_of_the_step(case: str, generator: torch.Generator) -> None:
     x = 0.2 + torch.rand(50, 2, generator=generator, dtype=torch.float64)
     if case == "rotation":
-        velocity, exact = Rotation(2.0), turned(x, column(50, 4.0))
+        # As a function, so that the formula of its flow is not used.
+        velocity, exact = Rotation(2.0).__call__, turned(x, column(50, 4.0))
     else:
         velocity, exact = (lambda x, t: -t * x * x), x / (1 + 2 * x)
     steps = [8, 16, 32, 64]
@@ -164,6 +165,18 @@ def test_the_error_of_carrying_falls_with_the_fourth_power_of_the_step(case: str
     ]
     slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert abs(slope + 4) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("space", "velocity"), [case for case in VELOCITIES.values() if isinstance(case[1], Constant | Rotation | Twist)]
+)
+def test_formulas_of_flows_agree_with_the_characteristics(
+    space: int, velocity: VelocityField, generator: torch.Generator
+) -> None:
+    x = torch.rand(30, space, generator=generator, dtype=torch.float64)
+    start, end = torch.rand(2, 30, generator=generator, dtype=torch.float64)
+    steps = Transport(velocity.__call__).carry(x, start, end, steps=64)
+    assert torch.allclose(velocity.flow(x, start, end), steps, rtol=0, atol=1e-7)
 
 
 def test_carrying_there_and_back_is_the_identity(case: tuple[int, Velocity], generator: torch.Generator) -> None:

@@ -25,9 +25,9 @@ def write_glb(snapshots: Iterable[Snapshot], path: str | Path, *, scene: Scene =
     """Writes surfaces of changing topology as GLB: a node for each, shown in its turn by an animation of its scale.
 
     A node stands at scale 0 until its time comes and again when it has gone, in steps; the last stays for one frame. A
-    time at which the surface has vanished shows nothing. Programs that play no animation show the first surface. glTF is in metres with y up, so one
-    node above all scales and turns; the numbers of the vertices are those of the field, and the `extras` of each node
-    hold its time.
+    time at which the surface has vanished shows nothing. Programs that play no animation show the first surface. glTF
+    is in metres with y up, so one node above all scales and turns; the numbers of the vertices are those of the field,
+    and the `extras` of each node hold its time.
 
     Args:
         snapshots: In the order of time.
@@ -102,7 +102,7 @@ def write_morph_glb(snapshots: Iterable[Snapshot], path: str | Path, *, scene: S
             "take the snapshots from `track`, or use `write_glb`."
         )
     buffer, center = _Buffer(), origin(found)
-    index, copies = _split(first, first.mesh)
+    _, copies = _split(first, first.mesh)
     primitive = _primitive(buffer, first, first.mesh, center)
     base_points, base_normals = _geometry(first.mesh, center)
     primitive["targets"] = []
@@ -256,4 +256,3 @@ def _write(
     for kind, data in chunks:
         parts += [len(data).to_bytes(4, "little"), kind, data]
     replace_file(Path(path), b"".join(parts))
-

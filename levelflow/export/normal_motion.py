@@ -39,7 +39,7 @@ class Slopes(NamedTuple):
 
     @property
     def velocities(self) -> Points:
-        r"""The normal part of the velocity of the surface, $-\partial_t f\,\nabla f / |\nabla f|^2$, in lengths per time."""
+        r"""The normal part of the velocity, $-\partial_t f\,\nabla f / |\nabla f|^2$, in lengths per time."""
         return self._along_gradient(-self.rate)
 
     @property
@@ -88,7 +88,7 @@ def slopes(field: Field, x: Points, t: float) -> Slopes:
 
 
 def carry(field: Field, x: Points, start: float, end: float, *, step: float) -> Carried:
-    r"""Points of the surface at one time, carried to another along the normal: $\dot x = -\partial_t f\,\nabla f/|\nabla f|^2$.
+    r"""Points of the surface at one time, carried to another: $\dot x = -\partial_t f\,\nabla f / |\nabla f|^2$.
 
     Runge-Kutta steps of order 4, during which hardly a point moves further than `step`, each followed by Newton steps
     back to the zero set. Where the surface pinches, vanishes or tears, its points have nowhere to go: they did not

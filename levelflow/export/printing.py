@@ -11,7 +11,7 @@ from levelflow.shapes.mesh import Mesh
 
 
 def write_stl(mesh: Mesh, path: str | Path, *, millimetres_per_unit: float = 1.0) -> None:
-    """Writes the surface of a solid as binary STL, in millimetres, which is what printing programs take its numbers for.
+    """Writes the surface of a solid as binary STL, in millimetres: so do printing programs read its numbers.
 
     What is checked is what will be in the file: STL keeps three float32 corners for each triangle, which programs join
     again where they are equal. Triangles that this makes degenerate are left out.

@@ -44,6 +44,7 @@ def write_sequence(
     path: str | Path,
     write: Callable[[T, Path], None],
     *,
+    alone: bool = False,
     on_entry: Callable[[Entry], None] | None = None,
 ) -> list[Entry]:
     """Writes `wave_0000.ply`, `wave_0001.ply`, ... for `wave.ply`, and skips the numbers of what has vanished.
@@ -52,11 +53,12 @@ def write_sequence(
         items: What to write, in the order of time; each is written before the next is asked for.
         path: The name without its number. The folder must exist.
         write: Writes one of them to a file of that kind.
+        alone: Whether there is but one, whose file is then `wave.ply`.
         on_entry: Called with each entry as soon as it is written, or skipped.
     """
     entries = []
     for i, item in enumerate(items):
-        file = None if item.is_empty else numbered(path, i)
+        file = None if item.is_empty else Path(path) if alone else numbered(path, i)
         if file is not None:
             write(item, file)
         entries.append(Entry(item.time, file))

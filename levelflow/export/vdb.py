@@ -120,13 +120,7 @@ def write_vdb(level_set: LevelSet, path: str | Path, *, python: str | None = Non
             last = (done.stderr.strip() or f"exit code {done.returncode}").splitlines()[-1]
             raise RuntimeError(f"write_vdb: OpenVDB in {python} failed: {last}")
         data = (Path(folder) / "band.vdb").read_bytes()
-    # OpenVDB gives each file a random name; the same content is to have the same.
-    name = re.search(rb"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}", data[:128])
-    if name is not None:
-        rest = data[: name.start()] + data[name.end() :]
-        fixed = str(uuid.UUID(bytes=hashlib.sha256(rest).digest()[:16])).encode()
-        data = data[: name.start()] + fixed + data[name.end() :]
-    replace_file(path, data)
+    replace_file(path, _renamed(data))
 
 
 def _convert() -> None:
@@ -141,7 +135,7 @@ def _convert() -> None:
     band = numpy.load("band.npz")
     grid = openvdb.FloatGrid(float(band["background"]))
     accessor = grid.getAccessor()
-    for index, value in zip(band["index"].tolist(), band["values"].tolist()):
+    for index, value in zip(band["index"].tolist(), band["values"].tolist(), strict=True):
         accessor.setValueOn(tuple(index), value)
     grid.signedFloodFill()
     grid.transform = openvdb.createLinearTransform(voxelSize=float(band["spacing"]))
@@ -150,6 +144,16 @@ def _convert() -> None:
     grid.name = "surface"
     grid["time"] = float(band["time"])
     openvdb.write("band.vdb", grids=[grid])
+
+
+def _renamed(data: bytes) -> bytes:
+    """The file under a name made of its content: OpenVDB gives each a random one."""
+    name = re.search(rb"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}", data[:128])
+    if name is None:
+        return data
+    head, rest = data[: name.start()], data[name.end() :]
+    digest = hashlib.sha256(head + rest).digest()
+    return head + str(uuid.UUID(bytes=digest[:16])).encode() + rest
 
 
 def _band(field: Field, snapshot: Snapshot, grid: Grid) -> LevelSet:

@@ -52,7 +52,12 @@ def export(
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but warnings and errors.")] = False,
 ) -> None:
-    """Write the surfaces of a field for other programs: PLY, ParaView, GLB, USD, OpenVDB, raw volumes, STL."""
+    """Write the surfaces of a field for other programs: PLY, ParaView, GLB, USD, OpenVDB, raw volumes, STL.
+
+    A folder gets numbered PLY files and the .pvd that tells ParaView their times. USD needs the package usd-core:
+    pip install 'levelflow[usd]'. OpenVDB needs an interpreter that has its module: on Debian, apt install
+    python3-openvdb and set LEVELFLOW_OPENVDB_PYTHON=/usr/bin/python3.
+    """
     from levelflow.export.painting import Paint
     from levelflow.export.scene import Scene, Up
     from levelflow.export.snapshots import snapshots

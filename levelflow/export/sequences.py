@@ -6,11 +6,12 @@ import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 from levelflow.shapes.writing import replace_file
 
 
+@runtime_checkable
 class Timed(Protocol):
     """What is there at one time, or has vanished."""
 

@@ -26,9 +26,7 @@ def export(
     field: Annotated[Path, typer.Argument(metavar="FIELD", help="A field (.safetensors).")],
     output: Annotated[
         Path,
-        typer.Option(
-            "--output", "-o", help="A file; its extension says the format. Or a folder."
-        ),
+        typer.Option("--output", "-o", help="A file; its extension says the format. Or a folder."),
     ],
     times: Annotated[str | None, typer.Option(help="0,0.5,1 or first:last:number; for a field that moves.")] = None,
     kind: Annotated[

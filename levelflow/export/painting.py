@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -121,11 +121,12 @@ def painted(
                 PaintWarning,
                 stacklevel=2,
             )
-        weights = _barycentric(found.point, paint.vertices[paint.faces[found.face]])
+        face = found.face.astype(np.int64)
+        weights = _barycentric(found.point, paint.vertices[paint.faces[face]])
         yield dataclasses.replace(
             snapshot,
-            colours=None if paint.colours is None else _mixed(paint.colours[found.face], weights),
-            uv=None if paint.uv is None else _corners(_Source(paint, source), points, mesh.faces, found.face, weights),
+            colours=None if paint.colours is None else _mixed(paint.colours[face], weights),
+            uv=None if paint.uv is None else _corners(paint, source, points, mesh.faces, face, weights),
         )
 
 
@@ -138,11 +139,6 @@ def painted_once(
         if first is None:
             (first,) = painted([snapshot], paint, along=along, time=time)
         yield dataclasses.replace(snapshot, colours=first.colours, uv=first.uv)
-
-
-class _Source(NamedTuple):
-    paint: Paint
-    search: TriangleDistance
 
 
 def _back(field: Field, snapshot: Snapshot, mesh: Mesh, time: float, paint: Paint) -> np.ndarray:
@@ -179,7 +175,8 @@ def _mixed(colours: UInt8[np.ndarray, "n 3 4"], weights: Float[np.ndarray, "n 3"
 
 
 def _corners(
-    source: _Source,
+    paint: Paint,
+    source: TriangleDistance,
     points: Float[np.ndarray, "n 3"],
     faces: Int[np.ndarray, "m 3"],
     face: Int[np.ndarray, " n"],
@@ -190,12 +187,12 @@ def _corners(
     Each corner has those of its closest point, but a face across a seam would then stretch over the whole texture:
     there the triangle closest to the middle of the face, continued beyond its sides, gives all three.
     """
-    assert source.paint.uv is not None
-    own = (weights[:, :, None] * source.paint.uv[face]).sum(1)[faces]
-    middle = source.search.closest(points[faces].mean(1)).face
-    triangles = source.paint.vertices[source.paint.faces[middle]]
+    assert paint.uv is not None
+    own = (weights[:, :, None] * paint.uv[face]).sum(1)[faces]
+    middle = source.closest(points[faces].mean(1)).face
+    triangles = paint.vertices[paint.faces[middle]]
     continued = np.stack(
-        [(_barycentric(points[faces[:, i]], triangles)[:, :, None] * source.paint.uv[middle]).sum(1) for i in range(3)],
+        [(_barycentric(points[faces[:, i]], triangles)[:, :, None] * paint.uv[middle]).sum(1) for i in range(3)],
         axis=1,
     )
     across = np.ptp(continued, axis=1).max(1) < 0.5 * np.ptp(own, axis=1).max(1)

@@ -177,7 +177,8 @@ def _band(field: Field, snapshot: Snapshot, grid: Grid) -> LevelSet:
     index = np.argwhere(binary_dilation(near, cube, iterations=room)) - room
     points = grid.points(index)
     distance = TriangleDistance(mesh.vertices, mesh.faces).closest(points).distance
-    inside_band = distance < HALF_WIDTH * grid.spacing
+    # Less than the background after rounding to float32 as well.
+    inside_band = distance < (HALF_WIDTH - 1e-5) * grid.spacing
     sign = np.where(values_at(field, points[inside_band], snapshot.time) < 0, -1.0, 1.0)
     values = (sign * distance[inside_band]).astype(np.float32)
     return LevelSet(snapshot.time, index[inside_band].astype(np.int32), values, grid)

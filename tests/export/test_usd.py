@@ -89,7 +89,7 @@ def test_colours_are_light_and_texture_coordinates_belong_to_corners(sphere, tmp
 
 def test_coordinates_far_from_the_origin_are_kept(tmp_path):
     write_usd(snapshots(growing((1e6, 0.0, -1e6)), [0.0], resolution=12), tmp_path / "a.usdc")
-    stage, mesh, geom = opened(tmp_path / "a.usdc")
+    _stage, mesh, geom = opened(tmp_path / "a.usdc")
     bounds = geom.BBoxCache(0, ["default"]).ComputeWorldBound(mesh.GetPrim()).ComputeAlignedRange()
     assert np.allclose(bounds.GetMin(), [1e6 - 0.5, -0.5, -1e6 - 0.5], rtol=0, atol=1e-5)
 

@@ -26,8 +26,8 @@ def write_glb(snapshots: Iterable[Snapshot], path: str | Path, *, scene: Scene =
 
     A node stands at scale 0 until its time comes and again when it has gone, in steps; the last stays for one frame. A
     time at which the surface has vanished shows nothing. Programs that play no animation show the first surface. glTF
-    is in metres with y up, so one node above all scales and turns; the numbers of the vertices are those of the field,
-    and the `extras` of each node hold its time.
+    is in metres with y up, so one node above all scales, turns and, if the origin is outside of the shapes, moves;
+    below it the units are those of the field. The `extras` of each node hold its time.
 
     Args:
         snapshots: In the order of time.
@@ -43,7 +43,7 @@ def write_glb(snapshots: Iterable[Snapshot], path: str | Path, *, scene: Scene =
     """
     snapshots = list(snapshots)
     found = kept(snapshots, call="write_glb")
-    buffer, center = _Buffer(), origin(found)
+    buffer, center = _Buffer(), _hub(found)
     times = [snapshot.time for snapshot in snapshots]
     seconds = [frame / scene.fps for frame in scene.frames(times)]
     meshes: list[dict[str, Any]] = []
@@ -204,6 +204,16 @@ def _geometry(mesh: Mesh, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.where(length > 0.5, normals / length.clip(min=0.5), [0.0, 0.0, 1.0])
     return mesh.vertices - center, normals
+
+
+def _hub(snapshots: Sequence[Snapshot]) -> np.ndarray:
+    """Where nodes of scale zero are: at the origin if the shapes are around it, else in their middle.
+
+    A program that frames what it shows would otherwise leave room up to the origin.
+    """
+    points = np.concatenate([snapshot.mesh.vertices for snapshot in snapshots if snapshot.mesh is not None])
+    low, high = points.min(0), points.max(0)
+    return np.zeros_like(low) if (low <= 0).all() and (high >= 0).all() else (low + high) / 2
 
 
 def _has_faces_of(first: Mesh, other: Mesh | None) -> bool:

@@ -116,6 +116,7 @@ def test_each_time_has_a_node_that_is_shown_in_its_turn(sphere, tmp_path):
     assert list(scene.geometry) == names
     for snapshot in sphere[1:]:
         body, r = scene.geometry[f"t = {snapshot.time:g}"], radius(snapshot.time)
+        body.apply_translation(document["nodes"][0]["translation"])
         assert np.allclose(body.bounds, [CENTER - r, CENTER + r], atol=1e-5)
         assert body.is_watertight and abs(body.volume / snapshot.mesh.volume - 1) < 1e-5
         assert np.allclose(body.vertex_normals, (body.vertices - CENTER) / r, atol=1e-3)
@@ -128,6 +129,7 @@ def test_a_program_without_animation_shows_the_first_surface(sphere, tmp_path):
               for node, name in ((node, scene.graph[node][1]) for node in scene.graph.nodes_geometry)]  # fmt: skip
     sizes = [np.ptp(body.bounds, axis=0).max() for body in bodies]
     assert np.allclose(sorted(sizes), [0, 0, 2 * radius(-1.0)], atol=1e-5)
+    assert np.allclose(scene.bounds, [CENTER - radius(-1.0), CENTER + radius(-1.0)], atol=1e-5)
 
 
 def test_one_surface_needs_no_animation(sphere, tmp_path):
@@ -191,7 +193,7 @@ def test_colours_become_light_and_texture_coordinates_split_vertices(carried, tm
         texture = arrays[primitive["attributes"]["TEXCOORD_0"]]
         corners = arrays[primitive["indices"]].reshape(-1, 3)
         assert np.allclose(texture[corners[0]], uv[0] * [1, -1] + [0, 1])
-        points = arrays[primitive["attributes"]["POSITION"]]
+        points = arrays[primitive["attributes"]["POSITION"]] + document["nodes"][0].get("translation", [0, 0, 0])
         assert np.allclose(points[corners], mesh.vertices[mesh.faces], atol=1e-6)
         other = trimesh.load_scene(tmp_path / "a.glb", process=False).geometry
         assert next(iter(other.values())).visual is not None

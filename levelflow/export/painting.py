@@ -93,13 +93,15 @@ def painted(
         time: When the mesh is the surface of that field.
 
     Raises:
-        ValueError: If a snapshot is a curve in the plane, or the field does not move.
+        ValueError: If a snapshot is a curve in the plane, or the field does not move, or not at that time.
 
     Warns:
         PaintWarning: If a vertex is far from the mesh, or cannot be carried back.
     """
     if along is not None and along.times != 1:
         raise ValueError(f"painted(along=f): the field has {along.times} times; give one that moves, or leave it out.")
+    if along is not None:
+        along.at(time)
     source = TriangleDistance(paint.vertices, paint.faces)
     for snapshot in snapshots:
         if snapshot.mesh is None:

@@ -169,7 +169,7 @@ def _band(field: Field, snapshot: Snapshot, grid: Grid) -> LevelSet:
             "write raw volumes (.npz, .mhd)."
         )
     # Room for the band around a surface that comes near the box.
-    room = HALF_WIDTH + 2
+    room = HALF_WIDTH + 1
     near = np.zeros(np.array(grid.counts) + 2 * room, dtype=bool)
     cells = np.floor((mesh.vertices - grid.lower) / grid.spacing).astype(np.int64) + room
     near[tuple(cells.T)] = True

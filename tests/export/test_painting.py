@@ -120,3 +120,5 @@ def test_what_cannot_be_painted_is_refused(tmp_path):
         next(painted(snapshots(growing(space=2), [0.0], resolution=8), cylinder()))
     with pytest.raises(ValueError, match="the field has 0 times; give one that moves"):
         next(painted([], cylinder(), along=growing().at(0.0)))
+    with pytest.raises(ValueError, match=r"at\(9\): the field was solved for times from -4 to 1"):
+        next(painted([], cylinder(), along=growing(), time=9.0))

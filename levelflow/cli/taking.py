@@ -39,7 +39,7 @@ def export(
     refine: Annotated[int, typer.Option(help="Steps that move each vertex onto the surface itself.")] = 3,
     up: Annotated[str, typer.Option(help="The axis that points up, y or z (GLB, USD).")] = "y",
     metres_per_unit: Annotated[
-        float | None, typer.Option(help="The length of a unit (GLB, USD; STL is then in millimetres) [default: 1].")
+        float | None, typer.Option(help="The length of a unit, by default 1 (GLB, USD); STL is then in millimetres.")
     ] = None,
     fps: Annotated[float, typer.Option(help="Frames per second of film (GLB, USD).")] = 24.0,
     colours: Annotated[
@@ -53,8 +53,8 @@ def export(
     """Write the surfaces of a field for other programs: PLY, ParaView, GLB, USD, OpenVDB, raw volumes, STL.
 
     A folder gets numbered PLY files and the .pvd that tells ParaView their times. USD needs the package usd-core:
-    pip install 'levelflow[usd]'. OpenVDB needs an interpreter that has its module: on Debian, apt install
-    python3-openvdb and set LEVELFLOW_OPENVDB_PYTHON=/usr/bin/python3.
+    pip install usd-core. OpenVDB needs an interpreter that has its module: on Debian, apt install python3-openvdb and
+    set LEVELFLOW_OPENVDB_PYTHON=/usr/bin/python3.
     """
     from levelflow.export.painting import Paint
     from levelflow.export.scene import Scene, Up

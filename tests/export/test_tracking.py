@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from levelflow import Box, EmptyLevelSet
+from levelflow.export.normal_motion import Carried
 from levelflow.export.snapshots import snapshots
 from levelflow.export.tracking import TopologyChange, track
 from tests.export.moving import GROWTH, growing, radius, splitting
@@ -51,13 +52,22 @@ def test_a_body_that_appears_is_noticed():
 
 
 def test_a_surface_that_outgrows_its_mesh_is_noticed():
-    """A translated ball: normal velocities cannot carry points around it, and none gets to its back."""
+    """A translated ball: normal velocities carry no point around it, and none gets to its front."""
     field = Explicit(
-        lambda x, t: torch_norm(x - t * x.new_tensor([[2.0, 0, 0]])) - 0.4, 3, 1,
+        lambda x, t: ((x - t * x.new_tensor([[2.0, 0, 0]])) ** 2).sum(1).sqrt() - 0.4, 3, 1,
         box=Box((-0.5,) * 3, (2.5, 0.5, 0.5), ((0, 1),)),
     )  # fmt: skip
-    with pytest.raises(TopologyChange, match="not covered by the mesh|folds over|lose the surface"):
+    with pytest.raises(TopologyChange, match="a part of the surface, .* away, is not covered by the mesh"):
         list(track(field, [0.0, 1.0], resolution=48))
+
+
+def test_a_mesh_that_turns_inside_out_is_noticed(monkeypatch):
+    def mirrored(field, x, start, end, *, step):
+        return Carried(x * [-1, 1, 1], np.ones(len(x), dtype=bool))
+
+    monkeypatch.setattr("levelflow.export.tracking.carry", mirrored)
+    with pytest.raises(TopologyChange, match=r"1e\+02 % of the mesh folds over"):
+        list(track(growing(), [0.0, 0.001], resolution=24))
 
 
 def test_what_has_nothing_to_carry_is_refused():
@@ -67,7 +77,3 @@ def test_what_has_nothing_to_carry_is_refused():
         next(track(growing(), [-3.0, 0.0], resolution=8))
     with pytest.raises(ValueError, match="track.*must increase"):
         next(track(growing(), [0.0, 0.0]))
-
-
-def torch_norm(x):
-    return (x * x).sum(1).sqrt()

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from torch import nn
 
 from levelflow.fields import Field
 
@@ -76,7 +75,7 @@ class Carried(NamedTuple):
 
 def slopes(field: Field, x: Points, t: float) -> Slopes:
     """Value, gradient and time derivative of a field of space and at most one time."""
-    device = next((p.device for p in field.parameters()), torch.device("cpu")) if isinstance(field, nn.Module) else None
+    device = next((parameter.device for parameter in field.parameters()), torch.device("cpu"))
     parts = []
     with torch.no_grad():
         for start in range(0, len(x), _POINTS_AT_ONCE):

@@ -13,10 +13,15 @@ import numpy as np
 from levelflow.export.scene import Scene, kept, origin
 from levelflow.export.snapshots import Snapshot
 from levelflow.rendering.shading import linear
-from levelflow.shapes.mesh import Mesh
 from levelflow.shapes.writing import replace_file
 
 FORMATS = (".usd", ".usda", ".usdc")
+_TYPES = {
+    ("f4", (3,)): "Vec3fArray",
+    ("f4", (2,)): "Vec2fArray",
+    ("f4", ()): "FloatArray",
+    ("i4", ()): "IntArray",
+}
 
 
 def write_usd(snapshots: Iterable[Snapshot], path: str | Path, *, scene: Scene = Scene()) -> None:  # noqa: B008
@@ -48,7 +53,6 @@ def write_usd(snapshots: Iterable[Snapshot], path: str | Path, *, scene: Scene =
     found = kept(snapshots, call="write_usd")
     center, times = origin(found), [snapshot.time for snapshot in snapshots]
     frames, pace = scene.frames(times), 1 / scene.seconds_per_time(times)
-
     layer = sdf.Layer.CreateAnonymous(".usda")
     stage = usd.Stage.Open(layer)
     geom.SetStageUpAxis(stage, scene.up.value)
@@ -67,36 +71,19 @@ def write_usd(snapshots: Iterable[Snapshot], path: str | Path, *, scene: Scene =
     mesh.SetNormalsInterpolation(geom.Tokens.vertex)
     clock = mesh.GetPrim().CreateAttribute("levelflow:time", sdf.ValueTypeNames.Double, custom=True)
     primvars = geom.PrimvarsAPI(mesh)
-    colours, opacity, uv = (
-        primvars.CreatePrimvar(name, kind, interpolation) if present else None
-        for name, kind, interpolation, present in (
-            ("displayColor", sdf.ValueTypeNames.Color3fArray, geom.Tokens.vertex, found[0].colours is not None),
-            ("displayOpacity", sdf.ValueTypeNames.FloatArray, geom.Tokens.vertex, found[0].colours is not None),
-            ("st", sdf.ValueTypeNames.TexCoord2fArray, geom.Tokens.faceVarying, found[0].uv is not None),
-        )
-    )
+    if found[0].colours is not None:
+        primvars.CreatePrimvar("displayColor", sdf.ValueTypeNames.Color3fArray, geom.Tokens.vertex)
+        primvars.CreatePrimvar("displayOpacity", sdf.ValueTypeNames.FloatArray, geom.Tokens.vertex)
+    if found[0].uv is not None:
+        primvars.CreatePrimvar("st", sdf.ValueTypeNames.TexCoord2fArray, geom.Tokens.faceVarying)
     constant = len(found) == len(snapshots) and all(_shares_faces(found[0], snapshot) for snapshot in found)
     for frame, snapshot in zip(frames, snapshots, strict=True):
-        surface = snapshot.mesh
-        points, normals, faces, velocities = _arrays(snapshot, center, pace)
         clock.Set(snapshot.time, frame)
-        mesh.GetPointsAttr().Set(vt.Vec3fArray.FromNumpy(points), frame)
-        mesh.GetNormalsAttr().Set(vt.Vec3fArray.FromNumpy(normals), frame)
-        if not constant or snapshot is snapshots[0]:
-            when = usd.TimeCode.Default() if constant else frame
-            mesh.GetFaceVertexCountsAttr().Set(vt.IntArray(len(faces), 3), when)
-            mesh.GetFaceVertexIndicesAttr().Set(vt.IntArray.FromNumpy(faces.reshape(-1)), when)
-        if any(other.velocities is not None for other in found):
-            mesh.GetVelocitiesAttr().Set(vt.Vec3fArray.FromNumpy(velocities), frame)
-        corners = [points.min(0), points.max(0)] if surface is not None else np.zeros((2, 3))
-        mesh.GetExtentAttr().Set(vt.Vec3fArray.FromNumpy(np.array(corners, np.float32)), frame)
-        if colours is not None and opacity is not None:
-            painted = np.empty((0, 4)) if snapshot.colours is None else snapshot.colours / 255
-            colours.Set(vt.Vec3fArray.FromNumpy(linear(painted[:, :3]).astype(np.float32)), frame)
-            opacity.Set(vt.FloatArray.FromNumpy(painted[:, 3].astype(np.float32)), frame)
-        if uv is not None:
-            corner = np.empty((0, 2)) if snapshot.uv is None else snapshot.uv.reshape(-1, 2)
-            uv.Set(vt.Vec2fArray.FromNumpy(corner.astype(np.float32)), frame)
+        for name, array in _arrays(snapshot, found[0], center, pace).items():
+            once = constant and name in ("faceVertexCounts", "faceVertexIndices")
+            if not once or snapshot is snapshots[0]:
+                values = getattr(vt, _TYPES[array.dtype.str[1:], array.shape[1:]]).FromNumpy(array)
+                mesh.GetPrim().GetAttribute(name).Set(values, usd.TimeCode.Default() if once else frame)
     with tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / path.with_suffix(path.suffix.lower()).name
         layer.Export(str(written))
@@ -113,17 +100,25 @@ def _modules() -> tuple[Any, ...]:
         ) from None
 
 
-def _arrays(snapshot: Snapshot, center: np.ndarray, pace: float) -> tuple[np.ndarray, ...]:
-    """Points, normals, faces and velocities as USD stores them; empty where the surface has vanished."""
-    mesh: Mesh | None = snapshot.mesh
-    if mesh is None:
-        nothing = np.empty((0, 3), np.float32)
-        return nothing, nothing, np.empty((0, 3), np.int32), nothing
-    velocities = np.zeros_like(mesh.vertices) if snapshot.velocities is None else snapshot.velocities * pace
-    points, normals, velocities = (
-        array.astype(np.float32) for array in (mesh.vertices - center, mesh.vertex_normals, velocities)
-    )
-    return points, normals, mesh.faces.astype(np.int32), velocities
+def _arrays(snapshot: Snapshot, first: Snapshot, center: np.ndarray, pace: float) -> dict[str, np.ndarray]:
+    """What a snapshot gives to the attributes of the mesh that `first` has; empty where the surface has vanished."""
+    mesh, nothing = snapshot.mesh, np.empty((0, 3))
+    points = nothing if mesh is None else mesh.vertices - center
+    faces = np.empty((0, 3), np.int32) if mesh is None else mesh.faces.astype(np.int32)
+    arrays = {
+        "points": points,
+        "normals": nothing if mesh is None else mesh.vertex_normals,
+        "extent": np.zeros((2, 3)) if mesh is None else np.stack([points.min(0), points.max(0)]),
+    }
+    if first.velocities is not None:
+        arrays["velocities"] = nothing if snapshot.velocities is None else snapshot.velocities * pace
+    if first.colours is not None:
+        colours = np.empty((0, 4)) if snapshot.colours is None else snapshot.colours / 255
+        arrays |= {"primvars:displayColor": linear(colours[:, :3]), "primvars:displayOpacity": colours[:, 3]}
+    if first.uv is not None:
+        arrays["primvars:st"] = np.empty((0, 2)) if snapshot.uv is None else snapshot.uv.reshape(-1, 2)
+    indices = {"faceVertexCounts": np.full(len(faces), 3, np.int32), "faceVertexIndices": faces.reshape(-1)}
+    return {name: array.astype(np.float32) for name, array in arrays.items()} | indices
 
 
 def _shares_faces(first: Snapshot, other: Snapshot) -> bool:

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import nn
 
 from levelflow.boxes import Box
 from levelflow.export.snapshots import check_times
@@ -95,7 +94,7 @@ def volumes(field: Field, times: Sequence[float] = (), *, resolution: int = 128)
 
 def values_at(field: Field, x: Float[np.ndarray, "n d"], t: float) -> Float[np.ndarray, " n"]:
     """f at points (n, d) and one time, in float64."""
-    device = next((p.device for p in field.parameters()), torch.device("cpu")) if isinstance(field, nn.Module) else None
+    device = next((parameter.device for parameter in field.parameters()), torch.device("cpu"))
     out = np.empty(len(x))
     with torch.no_grad():
         for start in range(0, len(x), _POINTS_AT_ONCE):

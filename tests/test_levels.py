@@ -31,9 +31,14 @@ LEVELS = (
     ("__main__",),
 )
 STEPS = {
-    "cli": (("names",), ("running",), ("commands",)),
+    "cli": (("names",), ("running", "taking"), ("commands",)),
     "equations": (("equation",), ("curvature", "eikonal", "morph", "stationary", "transport")),
-    "export": (("frames",),),
+    "export": (
+        ("frames", "normal_motion", "printing"),
+        ("snapshots",),
+        ("painting", "ply", "scene", "sequences", "tracking", "volumes"),
+        ("gltf", "paraview", "usd", "vdb"),
+    ),
     "flows": (("flow",),),
     "networks": (("siren",), ("lifting",)),
     "rendering": (("camera",), ("rasterising",), ("shading",), ("curves",), ("images",)),

@@ -29,4 +29,4 @@ def main() -> None:
 
 def _is_failure(error: Exception) -> bool:
     """Whether a wrong value is the outcome of the work and not of the command."""
-    return type(error).__name__ == "EmptyLevelSet"
+    return type(error).__name__ in ("EmptyLevelSet", "TopologyChange")

@@ -31,6 +31,7 @@ from levelflow.cli.running import (
     folder_for,
     training,
 )
+from levelflow.cli.taking import export
 
 if TYPE_CHECKING:
     from levelflow.conditions import Key
@@ -362,6 +363,9 @@ def info(
     else:
         typer.echo(f"{file}: {surface!r}")
     typer.echo(f"box from {_point(surface.box.lower)} to {_point(surface.box.upper)}")
+
+
+app.command()(export)
 
 
 def _point(values: Sequence[float]) -> str:

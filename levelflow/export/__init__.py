@@ -1,1 +1,1 @@
-"""What a field leaves behind: meshes, pictures, reports."""
+"""What a field leaves behind: meshes, pictures, reports, and files for other programs."""

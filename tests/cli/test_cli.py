@@ -13,29 +13,12 @@ import numpy as np
 import pytest
 
 from levelflow import Mesh, __version__, load
-from levelflow.cli import main
 from levelflow.cli.names import times_in, velocity_named
 from levelflow.shapes import Sphere
 
 pytestmark = pytest.mark.filterwarnings("default")
 SMALL = ("--width", "16", "--depth", "2", "--quiet")
 MEDIUM = ("--width", "32", "--depth", "2", "--quiet")
-
-
-@pytest.fixture
-def run(capsys, monkeypatch):
-    """Runs a command in this process; returns exit code, standard output and standard error."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["levelflow", *map(str, arguments)])
-        try:
-            main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code or 0
-        return (code, *capsys.readouterr())
-
-    return call
 
 
 def test_help_and_version(run):

@@ -93,20 +93,31 @@ class Transported(Field):
 
     def push(self, jet: Jet) -> Jet:
         """The chain rule, with derivatives of f by automatic differentiation; a Hessian where f0 has one."""
-        z = jet.value.detach().requires_grad_()
-        with torch.enable_grad():
+        # The graph of a piece holds every Runge-Kutta step of it.
+        pieces = [self._derivatives(z, jet.order) for z in jet.value.detach().split(max(256, (1 << 18) // self.steps))]
+        value, slope, bend = (torch.cat(part) if part[0] is not None else None for part in zip(*pieces, strict=True))
+        assert value is not None
+        first, second = None, None
+        if jet.first is not None:
+            first = torch.einsum("nim,nm->ni", jet.first, slope)
+        if jet.second is not None:
+            du = jet.gradient
+            second = torch.einsum("nijm,nm->nij", jet.second, slope)
+            second = second + torch.einsum("nim,nmk,njk->nij", du, bend, du)
+        return Jet(value, first, second, jet.space)
+
+    def _derivatives(self, z: Tensor, order: int) -> tuple[Tensor, Tensor | None, Tensor | None]:
+        """Value, gradient and Hessian in the coordinates z of space and time, as far as they are asked for."""
+        with torch.set_grad_enabled(order > 0):
+            z = z.requires_grad_(order > 0)
             value = self(z[:, : self.space], z[:, self.space :])
-            if jet.first is None:
-                return Jet(value.detach(), None, None, jet.space)
-            (slope,) = torch.autograd.grad(value.sum(), z, create_graph=jet.second is not None)
-            first = torch.einsum("nim,nm->ni", jet.first, slope.detach())
-            if jet.second is None:
-                return Jet(value.detach(), first, None, jet.space)
+            if order == 0:
+                return value, None, None
+            (slope,) = torch.autograd.grad(value.sum(), z, create_graph=order > 1)
+            if order == 1:
+                return value.detach(), slope, None
             rows = [torch.autograd.grad(slope[:, i].sum(), z, retain_graph=True)[0] for i in range(z.shape[1])]
-        du = jet.gradient
-        second = torch.einsum("nijm,nm->nij", jet.second, slope.detach())
-        second = second + torch.einsum("nim,nmk,njk->nij", du, torch.stack(rows, dim=1), du)
-        return Jet(value.detach(), first, second, jet.space)
+        return value.detach(), slope.detach(), torch.stack(rows, dim=1)
 
 
 def _enough_steps(motion: Equation, box: Box, time: float) -> int:

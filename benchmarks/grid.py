@@ -244,6 +244,8 @@ class State:
                         reinitialise(self.grid, self.f, self.width)
                     self._active = self.grid.near(self.f, self.width, grown=2)
                     self._x = self.grid.points(self._active).to(f)
+                if not len(self._active):
+                    break
                 self._step(end)
                 age += 1
             self.time = end

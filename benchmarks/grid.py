@@ -23,7 +23,7 @@ from typing import Any
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
-from scipy.ndimage import spline_filter
+from scipy.ndimage import distance_transform_edt, spline_filter
 from torch import Tensor
 
 from levelflow import Box, Field
@@ -249,7 +249,7 @@ class State:
                 self._step(end)
                 age += 1
             self.time = end
-            yield self.f.clone()
+            yield self.f.clone() if self.curvature else widened(self.grid, self.f, self.width)
 
     def _step(self, end: float) -> None:
         """One step towards a time: Euler's for curvature alone, else the three stages of Shu and Osher."""
@@ -371,6 +371,13 @@ def reinitialise(grid: Grid, f: Tensor, width: float, *, iterations: int = 12) -
         f[here] = now - 0.4 * torch.where(crossed, now - target, h * sign * (norm - 1))
         grid.extrapolate(f)
     f.clamp_(-width, width)
+
+
+def widened(grid: Grid, f: Tensor, width: float) -> Tensor:
+    """A field that stops at plus or minus the width, continued by the distance to where it stops."""
+    far = (f.abs() >= width * (1 - 1e-6)).reshape(grid.counts).numpy()
+    beyond = torch.from_numpy(distance_transform_edt(far)).reshape(-1).to(f)
+    return f + f.sign() * beyond * grid.spacing
 
 
 def _jet(grid: Grid, coefficients: Tensor, x: Float[Tensor, "n d"], order: int) -> tuple[Tensor, Tensor, Tensor]:

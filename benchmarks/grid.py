@@ -134,7 +134,7 @@ class Snapshots(Field):
 
     def _between(self, t: Tensor) -> tuple[Tensor, Tensor]:
         """The number of the last snapshot before each time, and the part of the interval to the next that is gone."""
-        i = (torch.searchsorted(self._moments, t, right=True) - 1).clamp(0, len(self._moments) - 2)
+        i = (torch.searchsorted(self._moments, t.contiguous(), right=True) - 1).clamp(0, len(self._moments) - 2)
         first, last = self._moments[i], self._moments[i + 1]
         return i, ((t - first) / (last - first)).clamp(0, 1)
 
@@ -249,7 +249,8 @@ class State:
                 self._step(end)
                 age += 1
             self.time = end
-            yield self.f.clone() if self.curvature else widened(self.grid, self.f, self.width)
+            is_clamped = self.motions and not self.curvature
+            yield widened(self.grid, self.f, self.width) if is_clamped else self.f.clone()
 
     def _step(self, end: float) -> None:
         """One step towards a time: Euler's for curvature alone, else the three stages of Shu and Osher."""

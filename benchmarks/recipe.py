@@ -1,6 +1,6 @@
 """A rival: the published recipe for neural evolutions. How long does each take to a given error of the surface?
 
-    python benchmarks/recipe.py [PROBLEM ...] [--seconds 600] [--every 10] [--width 128] [--mesh FILE]
+    python benchmarks/recipe.py [PROBLEM ...] [--seconds 600] [--every 10] [--width 128] [--points 10000] [--mesh FILE]
 
 The recipe is trained for the given time, and the surface measured every few seconds of it. Its best error and the first
 time it was reached are noted, and so are two and four times that error. Then `levelflow.solve` runs with its default
@@ -121,8 +121,8 @@ def solve(
             descent.step()
             clock.tick()
             if on_step is not None and field.times:
-                with clock.stopped():
-                    on_step(clock.steps, clock.seconds, field)
+                with clock.stopped() as seconds:
+                    on_step(clock.steps, seconds, field)
 
     new = {"depth": network.depth, "omega": OMEGA, "generator": generator, "dtype": like.dtype}
     if len(at) == 1 and fitting:
@@ -304,8 +304,10 @@ def measured(problem: Problem, field: Placed) -> float:
     return error if math.isfinite(error) else math.inf
 
 
-def recorded(problem: Problem, network: SIREN, seconds: float, every: float) -> list[tuple[float, float]]:
-    """Seconds and errors of the recipe on its way."""
+def recorded(
+    problem: Problem, network: SIREN, *, points: int, seconds: float, every: float
+) -> list[tuple[float, float]]:
+    """Seconds and errors of the recipe on its way, with a batch of so many points."""
     record: list[tuple[float, float]] = []
 
     def on_step(step: int, at: float, field: Placed) -> None:
@@ -313,7 +315,13 @@ def recorded(problem: Problem, network: SIREN, seconds: float, every: float) -> 
             record.append((at, measured(problem, field)))
 
     field = solve(
-        problem.equation, network, at=problem.at, until=problem.until, budget=Budget(seconds=seconds), on_step=on_step
+        problem.equation,
+        network,
+        at=problem.at,
+        until=problem.until,
+        budget=Budget(seconds=seconds),
+        sampling=Sampling(n=points),
+        on_step=on_step,
     )
     return [*record, (field.provenance["seconds"], measured(problem, field))]
 
@@ -338,17 +346,20 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=600, help="training time of the recipe for each problem")
     parser.add_argument("--every", type=float, default=10, help="seconds of training between measurements")
     parser.add_argument("--width", type=int, default=128, help="of both networks")
+    parser.add_argument("--depth", type=int, default=3, help="of both networks")
+    parser.add_argument("--points", type=int, default=10_000, help="in a batch of the recipe")
     parser.add_argument("--mesh", type=Path, help="what is rotated instead of a rounded cuboid")
     options = parser.parse_args()
     solid: Solid = Mesh.read(options.mesh) if options.mesh else Cuboid((1.0, 0.6, 0.4), radius=0.1)
     known = problems(solid, options.mesh.stem if options.mesh else "cuboid")
     if unknown := [name for name in options.problems if name not in known]:
         parser.error(f"{', '.join(unknown)}: no such problem; choose from {', '.join(known)}.")
-    print(f"three hidden layers of {options.width}, {torch.get_num_threads()} threads, PyTorch {torch.__version__}")
+    size = f"{options.depth} hidden layers of {options.width}"
+    print(f"{size}, {torch.get_num_threads()} threads, PyTorch {torch.__version__}")
     print(f"{'problem':<48}{'error':>10}{'recipe':>9}{'ours':>9}{'ratio':>8}   seconds; its error and steps")
     for name in options.problems or known:
-        problem, network = known[name], SIREN(time=1, width=options.width)
-        record = recorded(problem, network, options.seconds, options.every)
+        problem, network = known[name], SIREN(time=1, width=options.width, depth=options.depth)
+        record = recorded(problem, network, points=options.points, seconds=options.seconds, every=options.every)
         best = min(error for _, error in record)
         runs = ours(problem, network, best)
         for level in (4 * best, 2 * best, best):

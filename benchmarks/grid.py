@@ -198,9 +198,9 @@ def solve(
     grid = Grid(box, resolution)
     with torch.no_grad():
         points = grid.points(torch.arange(math.prod(grid.counts)))
-        values = torch.cat([value_of(at[start])(x) for x in points.split(1 << 18)]).to(dtype)  # type: ignore[arg-type]
+        values = torch.cat([value_of(at[start])(x) for x in points.split(1 << 18)]).to(dtype)
         moments = sorted({start, *torch.linspace(*interval, SNAPSHOTS + 1, dtype=torch.float64).tolist()})
-        state = State(grid, motions, values)  # type: ignore[arg-type]
+        state = State(grid, motions, values)
         snapshots = {start: values}
         for times in ([t for t in moments if t > start], [t for t in reversed(moments) if t < start]):
             snapshots |= dict(zip(times, state.run(values, start, times), strict=True))
@@ -419,7 +419,7 @@ def _spline_weights(u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     values = (v**3, 3 * u**3 - 6 * u**2 + 4, 3 * v**3 - 6 * v**2 + 4, u**3)
     first = (-3 * v**2, 9 * u**2 - 12 * u, -9 * v**2 + 12 * v, 3 * u**2)
     second = (6 * v, 18 * u - 12, 18 * v - 12, 6 * u)
-    return tuple(torch.stack(w, dim=-1) / 6 for w in (values, first, second))  # type: ignore[return-value]
+    return tuple(torch.stack(w, dim=-1) / 6 for w in (values, first, second))
 
 
 def _chained(jet: Jet, value: Tensor, slope: Tensor, bend: Tensor) -> Jet:

@@ -113,11 +113,11 @@ def solve(
     for kind, others in ((Morph, MORPH), (MeanCurvature, CURVATURE)):
         weights = others if any(isinstance(m, kind) for m in motions) else weights
 
-    def train(field: Placed, until: float) -> None:
+    def train(field: Placed, spent: float) -> None:
         descent = torch.optim.Adam(field.parameters(), lr=RATE)
-        while clock.spent < until:
+        while clock.spent < spent:
             descent.zero_grad(set_to_none=True)
-            loss(field, motions, given, weights, sampling, generator).backward()  # type: ignore[arg-type]
+            loss(field, motions, given, weights, sampling, generator).backward()
             descent.step()
             clock.tick()
             if on_step is not None and field.times:
@@ -126,11 +126,11 @@ def solve(
 
     new = {"depth": network.depth, "omega": OMEGA, "generator": generator, "dtype": like.dtype}
     if len(at) == 1 and fitting:
-        static = SIREN(network.space, width=max(1, network.width // 2), **new)  # type: ignore[arg-type]
+        static = SIREN(network.space, width=max(1, network.width // 2), **new)
         train(Placed(static, box.during()), fitting)
         start = lift(static, width=network.width, generator=generator)
     else:
-        start = SIREN(network.space, 1, width=network.width, time_scale=1.0, **new)  # type: ignore[arg-type]
+        start = SIREN(network.space, 1, width=network.width, time_scale=1.0, **new)
     field = Placed(start, box)
     train(field, 1.0)
     field.provenance = {

@@ -62,10 +62,10 @@ def test_on_a_grid_a_circle_is_carried_with_second_order(generator):
 @pytest.mark.parametrize("until", [1.0, -1.0])
 def test_on_a_grid_a_rectangle_turns_either_way(until, generator):
     shape, motion = Rectangle((0.8, 0.4), radius=0.1), Transport(Rotation(1.0))
-    field = grid.solve(motion, at={0.0: shape}, until=until, resolution=64, **EXACT)
+    field = grid.solve(motion, at={0.0: shape}, until=until, resolution=48, **EXACT)
     points = Implicit(field.at(until)).sample(500, generator=generator).points
     back = motion.carry(points, torch.full((500,), until).double(), torch.zeros(500).double())
-    assert shape.distance(back).abs().mean() < 2e-3
+    assert shape.distance(back).abs().mean() < 3e-3
 
 
 def test_on_a_grid_a_morph_is_linear_in_time(generator):

@@ -33,7 +33,8 @@ from levelflow.equations.equation import Motions
 from levelflow.jets import Jet
 from levelflow.shapes import Solid
 from levelflow.shapes.implicit import value_of
-from levelflow.solving import _interval, _reach
+from levelflow.solving import _interval
+from levelflow.transported import reach
 
 GHOST = 4
 """Grid points beyond the box on each side; the outer three are extrapolated."""
@@ -194,7 +195,7 @@ def solve(
     start = min(at)
     if not isinstance(at[start], Solid | Field):
         raise TypeError(f"grid.solve: {at[start]!r} has no values to put on a grid; give a solid or a field.")
-    box = (box or _reach(equation, surfaces, interval)).during(interval)
+    box = (box or reach(equation, surfaces, interval)).during(interval)
     grid = Grid(box, resolution)
     with torch.no_grad():
         points = grid.points(torch.arange(math.prod(grid.counts)))

@@ -43,8 +43,9 @@ from levelflow.measures import accuracy
 from levelflow.networks.lifting import lift
 from levelflow.shapes.implicit import NoSurface
 from levelflow.shapes.shape import Solid
-from levelflow.solving import _interval, _reach
+from levelflow.solving import _interval
 from levelflow.suite import _mean_distance, _radii
+from levelflow.transported import reach
 
 OMEGA = 30.0
 RATE = 1e-4
@@ -105,7 +106,7 @@ def solve(
     clock = Clock(budget)
     interval = _interval(at, until)
     surfaces = {t: surface_of(key) for t, key in at.items()}
-    box = (box or _reach(equation, surfaces, interval)).during(interval)
+    box = (box or reach(equation, surfaces, interval)).during(interval)
     generator = torch.Generator().manual_seed(seed)
     like = network.last.weight
     given = {t: Given.of(key, box, n=sampling.given, generator=generator, like=like) for t, key in at.items()}

@@ -167,9 +167,15 @@ def chain_jet(
     bends: list[Tensor] = []
     planes: list[Tensor] = []
     for layer, (weight, bias) in enumerate(hidden):
-        if order > 1:
-            # The first planes of the first layer are the same for every point: the columns of its weight.
-            planes.append((slopes[-1][:, None] * planes[-1]) @ weight.T if layer else weight.T[:d])
+        if order > 1 and layer == 0:
+            # The same for every point: the columns of the weight.
+            planes.append(weight.T[:d])
+        elif order > 1 and layer == 1:
+            # diag(slopes) P W^T with the product of what is shared taken first.
+            shared = (planes[0].T[:, :, None] * weight.T[:, None]).flatten(1)
+            planes.append((slopes[0] @ shared).unflatten(1, (d, -1)))
+        elif order > 1:
+            planes.append((slopes[-1][:, None] * planes[-1]) @ weight.T)
         s = activation(torch.addmm(bias, u, weight.T), order)
         u = s[0]
         slopes += s[1:2]

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from levelflow.conditions import Given, band_error, pick
-from levelflow.curvature import gradient_norm
+from levelflow.curvature import gradient_norm, total_curvature
 from levelflow.equations.equation import Equation
 from levelflow.fields import Placed
 from levelflow.minimising import Batch
@@ -21,12 +21,14 @@ class Motion:
     of the field as it then is, and a tenth of them start afresh; a sample is a walker plus noise. The error of the
     equation is brought to normalised units, so that it reads as a displacement over half the time interval. Beyond a
     tenth its square grows only like a logarithm: on the medial axis curvature is singular, and no network is to
-    follow it there. Where f is nearly flat, |grad f| < 0.05, a speed says nothing and is left out.
+    follow it there. Where f is nearly flat, |grad f| < 0.05, a speed says nothing and is left out. In an equation of
+    second order errors count relative to the curvature once its radius is below a tenth: a neck of radius r closes
+    after a time of the order of r^2, in which an error of its speed moves it by that share of r.
     """
 
     name = "motion"
     weight = 1.0
-    noise, every, turnover, knee, near = 0.03, 10, 0.1, 0.1, 0.8
+    noise, every, turnover, knee, near, bend = 0.01, 10, 0.1, 0.1, 0.8, 0.1
 
     def __init__(self, placed: Placed, equation: Equation, *, n: int, since: float = 0.0) -> None:
         self.placed, self.equation, self.n, self.since = placed, equation, n, since
@@ -51,7 +53,11 @@ class Motion:
         # In float64, for the sake of shapes far from the origin of their units.
         x, t = placed.box.frame.from_unit(u.double()), placed.times_in_units(tau.double())
         error = self.equation.error(x, t, jet).reshape(len(z), -1).to(u.dtype)
-        loss = self.knee**2 * torch.log1p((error * self._scales(error) / self.knee) ** 2)
+        error = error * self._scales(error)
+        if self.equation.order > 1:
+            bend = self.bend * placed.box.frame.scale * total_curvature(jet).detach().abs()
+            error = error / (1 + bend)[:, None]
+        loss = self.knee**2 * torch.log1p((error / self.knee) ** 2)
         steep = (gradient_norm(jet) > 0.05)[:, None]
         counts = steep | ~torch.tensor([part.is_speed for part in self.equation.columns], device=steep.device)
         return torch.where(counts, loss, 0.0).sum(1)

@@ -48,7 +48,7 @@ class SIREN(Field):
         width: int = 128,
         depth: int = 3,
         omega: float = 10.0,
-        time_scale: float = 0.1,
+        time_scale: float = 0.5,
         generator: torch.Generator | None = None,
         dtype: torch.dtype = torch.float32,
     ) -> None:

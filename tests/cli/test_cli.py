@@ -11,9 +11,11 @@ import time
 
 import numpy as np
 import pytest
+import torch
 
 from levelflow import Mesh, __version__, load
 from levelflow.cli.names import times_in, velocity_named
+from levelflow.saving import describe
 from levelflow.shapes import Sphere
 
 pytestmark = pytest.mark.filterwarnings("default")
@@ -50,6 +52,21 @@ def test_smooth_writes_field_meshes_picture_and_report(run, tmp_path):
     assert "report.json" in out
     field = load(tmp_path / "out" / "field.safetensors")
     assert field.box.times == ((-0.1, 0.2),) and field.provenance["inputs"] == ["sphere"]
+
+
+def test_a_shape_is_carried_along_characteristics_unless_a_network_is_to_be_distilled(run, tmp_path):
+    """A field that is given needs no training at all; the exact motion brings it back after a whole turn."""
+    run("fit", "torus", "-o", tmp_path / "torus.safetensors", "--steps", 12, *SMALL)
+    common = ("--rate", 2 * math.pi, "--axis", "1,0,0", "--times", "0,1", "--resolution", 16)
+    assert run("advect", tmp_path / "torus.safetensors", "-o", tmp_path / "a", *common, *SMALL)[0] == 0
+    report = json.loads((tmp_path / "a" / "report.json").read_text())
+    assert report["steps"] == 12 and report["seconds"]["training"] < 5
+    field = load(tmp_path / "a" / "field.safetensors")
+    x = torch.rand(50, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) - 0.5
+    assert torch.allclose(field.at(0.0)(x), field.at(1.0)(x), atol=1e-5)
+    assert (field.at(0.0)(x) - field.at(0.25)(x)).abs().max() > 0.05
+    assert run("advect", "torus", "--distil", "-o", tmp_path / "b", "--steps", 5, *common, *SMALL)[0] == 0
+    assert describe(tmp_path / "b" / "field.safetensors")["network"]["time"] == 1
 
 
 def test_the_results_come_back_in_the_units_of_the_file(run, tmp_path):

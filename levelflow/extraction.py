@@ -150,25 +150,34 @@ class _Grid:
         self.unit = self.unit or np.abs(out).max(initial=0.0) / self.cells.max() or 1.0
         return out / self.unit
 
-    def at(self, index: np.ndarray) -> np.ndarray:
-        """Values at grid indices (n, c, d), (n, c); beyond the last point of an axis, the last point's."""
-        flat = np.ravel_multi_index(tuple(np.moveaxis(np.minimum(index, self.cells), -1, 0)), self.values.shape)
+    def at_corners(self, blocks: np.ndarray, side: int) -> np.ndarray:
+        """Values (n, 2^d) at the corners of blocks of cells, given by their least corners (n, d).
+
+        Beyond the last point of an axis they are the last point's.
+        """
+        # A row for each corner: numpy works along rows, here and in what follows.
+        out = np.empty((len(self.corners), len(blocks)), np.float32)
+        strides = np.array(self.values.strides) // self.values.itemsize
+        for start in range(0, len(blocks), _BLOCKS_AT_ONCE):
+            part = blocks[start : start + _BLOCKS_AT_ONCE].T
+            low, high = (np.minimum(part + step, self.cells[:, None]) * strides[:, None] for step in (0, side))
+            point = np.stack([np.where(corner[:, None], high, low).sum(0) for corner in self.corners])
+            out[:, start : start + point.shape[1]] = self._at(point)
+        return out.T
+
+    def _at(self, point: np.ndarray) -> np.ndarray:
+        """Values at numbered grid points."""
         values = self.values.reshape(-1)
-        unknown = np.sort(flat[np.isnan(values[flat])])
+        unknown = point[np.isnan(values[point])]
         if len(unknown):
-            unknown = unknown[np.append(True, unknown[1:] != unknown[:-1])]
+            # Of the copies of a point one is kept: that whose number its place in memory holds in the end.
+            place, number = values.view(np.int32), np.arange(len(unknown), dtype=np.int32)
+            place[unknown] = number
+            unknown = unknown[place[unknown] == number]
             found = self.evaluate(np.stack(np.unravel_index(unknown, self.values.shape), axis=1))
             # At a corner of value zero the cells around it may decide differently, and leave a hole.
             values[unknown] = np.where(found == 0, -_ZERO, found)
-        return values[flat]
-
-    def at_corners(self, blocks: np.ndarray, side: int) -> np.ndarray:
-        """Values (n, 2^d) at the corners of blocks of cells, given by their least corners (n, d)."""
-        out = np.empty((len(blocks), len(self.corners)), np.float32)
-        for start in range(0, len(blocks), _BLOCKS_AT_ONCE):
-            part = slice(start, start + _BLOCKS_AT_ONCE)
-            out[part] = self.at(blocks[part, None] + side * self.corners)
-        return out
+        return values[point]
 
 
 def _device(field: object) -> torch.device:

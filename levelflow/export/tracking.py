@@ -28,7 +28,8 @@ def track(field: Field, times: Sequence[float], *, resolution: int = 128, refine
     """The surface of the first time, its vertices carried along the normal to the others.
 
     Vertices move with the normal velocity, which is all that a surface knows of its motion: under a rotation of a
-    sphere they stand still, and where the surface grows the triangles grow with it. At each time the carried mesh is
+    sphere they stand still, and where the surface grows the triangles grow with it. Those of a `Transported` field move
+    as it does, tangentially as well. At each time the carried mesh is
     compared to the surface extracted afresh; it must have as many bodies and holes, cover it to within two cells, and
     face outward.
 

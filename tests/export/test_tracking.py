@@ -1,7 +1,10 @@
+import math
+
 import numpy as np
 import pytest
 
-from levelflow import Box, EmptyLevelSet
+from levelflow import Box, Cuboid, EmptyLevelSet, Transported
+from levelflow.equations import Rotation, Transport
 from levelflow.export.normal_motion import Carried
 from levelflow.export.snapshots import snapshots
 from levelflow.export.tracking import TopologyChange, track
@@ -24,6 +27,14 @@ def test_the_carried_mesh_is_the_surface_that_is_there_until_it_splits():
     for carried, fresh in zip(track(field, times, resolution=32), snapshots(field, times, resolution=32), strict=True):
         assert abs(carried.mesh.volume / fresh.mesh.volume - 1) < 0.01
         assert np.allclose(carried.mesh.box.lower, fresh.mesh.box.lower, atol=0.01)
+
+
+def test_a_mesh_turns_with_a_field_that_is_turned():
+    """A quarter turn, tangential motion and all: every vertex is where the rotation brings it."""
+    field = Transported(Transport(Rotation(math.pi / 2, axis=(0, 0, 1))), Cuboid((1.0, 0.4, 0.3)), until=1.0)
+    first, last = track(field, [0.0, 1.0], resolution=32)
+    x, y, z = first.mesh.vertices.T
+    assert np.allclose(last.mesh.vertices, np.stack([-y, x, z], axis=1), atol=1e-12)
 
 
 def test_a_plane_curve_is_carried_as_well():

@@ -65,12 +65,17 @@ def _viewed(text: str) -> Viewed:
 
 
 def _serve(viewed: Sequence[Viewed], port: int, *, resolution: int, preview: int, browse: bool) -> None:
+    import os
     import webbrowser
+
+    import torch
 
     from levelflow.viewer.server import Server
 
     if not 0 <= port <= 65535:
         raise ValueError(f"--port {port}: give a number from 0 to 65535; 0 takes a free port.")
+    # Half of the machine is left to the browser and to the other surfaces; threads that wait for each other stutter.
+    torch.set_num_threads(min(torch.get_num_threads(), max(1, (os.cpu_count() or 2) // 2)))
     server = Server(viewed, port=port, resolution=resolution, preview=preview)
     try:
         server.check_surface()

@@ -94,7 +94,7 @@ def standalone(
 
     Args:
         viewed: What to show, of at most one time each.
-        times: When; what stands still is shown at all of them.
+        times: When; each is shown at those in its interval, and what stands still at all of them.
         resolution: Cells along the longest side of the box.
         on_frame: Called for each frame that is in.
 
@@ -113,7 +113,7 @@ def standalone(
                 "leave --html out to look at all of them."
             )
         mine: dict[str, dict[str, str]] = {}
-        for time in [(t,) for t in times] if one.box.times else [()]:
+        for time in _times_of(one, times):
             surface = one.surface(time, resolution=resolution)
             found |= surface.mesh is not None
             mine[",".join(repr(t) for t in time)] = {
@@ -127,6 +127,21 @@ def standalone(
         raise EmptyLevelSet(f"standalone: there is no surface at any of the times {times}; ask for others.")
     meta = description(viewed, [times] if times else [], resolution=resolution, preview=resolution)
     return page(meta, frames={"grid": _GRID, "packed": packed})
+
+
+def _times_of(one: Viewed, times: Sequence[float]) -> list[tuple[float, ...]]:
+    """Those of the times at which it can be shown."""
+    if not one.box.times:
+        return [()]
+    first, last = one.box.times[0]
+    slack = 1e-9 * max(abs(first), abs(last))
+    inside = [(t,) for t in times if first - slack <= t <= last + slack]
+    if not inside:
+        raise ValueError(
+            f"standalone: {one.name} was solved for times from {first:g} to {last:g}, and none of {list(times)} is "
+            "among them; ask for others."
+        )
+    return inside
 
 
 def _grid(one: Viewed, time: Sequence[float], frame: Frame) -> bytes:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from levelflow.boxes import Box
@@ -26,8 +26,11 @@ from levelflow.shapes.mesh import Mesh
 Points = Float[np.ndarray, "n d"]
 Scalars = Float[np.ndarray, " n"]
 
-# A pause is possible after so many points: about 30 ms for a network of three layers of 128 on one core.
+# A pause is possible after so many points: 30 ms of values or jets for three layers of 128 on one core.
 _POINTS_AT_ONCE = 1 << 14
+_JETS_AT_ONCE = 1 << 11
+# The cosine between the normals of a face and of its vertex below which there is an edge to be seen.
+_CREASE = 0.75
 # Only numbers are read from a description: nothing in a file is executed.
 _MEAN_CURVATURE = re.compile(r"MeanCurvature\(rate=([0-9]+\.?[0-9]*(?:[eE][+-]?[0-9]+)?)\)")
 
@@ -140,9 +143,9 @@ class ViewedField(Viewed):
             when = f"at t = {', '.join(f'{t:g}' for t in time)}" if time else "in the box of the field"
             return Surface(time, None, {}, f"There is no surface {when}: the field does not change sign.")
         normals, columns = [], []
-        for start in range(0, len(mesh.vertices), _POINTS_AT_ONCE):
+        for start in range(0, len(mesh.vertices), _JETS_AT_ONCE):
             pause()
-            normal, *values = self._on_surface(mesh.vertices[start : start + _POINTS_AT_ONCE], time)
+            normal, *values = self._on_surface(mesh.vertices[start : start + _JETS_AT_ONCE], time)
             normals.append(normal)
             columns.append(values)
         found = [np.concatenate(column) for column in zip(*columns, strict=True)]
@@ -194,10 +197,10 @@ class ViewedMesh(Viewed):
         self.quantities = (CURVATURE,) if mesh.vertices.shape[1] == 3 else ()
 
     def surface(self, time: Sequence[float], *, resolution: int, pause: Callable[[], None] = lambda: None) -> Surface:
-        """The mesh itself, whatever the resolution."""
+        """The mesh itself, whatever the resolution, but for vertices at its edges: these are there for each side."""
         self._check(time)
-        mesh = Mesh(self.mesh.vertices, self.mesh.faces, normals=self.mesh.vertex_normals)
-        return Surface((), mesh, {CURVATURE.name: curvature_of(self.mesh)} if self.quantities else {})
+        mesh, vertex = _with_creases(self.mesh)
+        return Surface((), mesh, {CURVATURE.name: curvature_of(self.mesh)[vertex]} if self.quantities else {})
 
     def values(self, x: Points, time: Sequence[float]) -> Scalars:
         self._check(time)
@@ -253,6 +256,17 @@ def curvature_of(mesh: Mesh) -> Scalars:
     pairs, counts = np.unique(edges, axis=0, return_counts=True)
     kappa[pairs[counts == 1]] = 0
     return np.nan_to_num(kappa, posinf=0.0, neginf=0.0)
+
+
+def _with_creases(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"]]:
+    """The mesh for pictures, and the old number of each vertex: corners at edges to be seen get their face's normal."""
+    normals, number = mesh.vertex_normals, len(mesh.vertices)
+    crease = (normals[mesh.faces] * mesh.face_normals[:, None]).sum(2) < _CREASE
+    vertex = np.concatenate([np.arange(number), mesh.faces[crease]])
+    faces = mesh.faces.copy()
+    faces[crease] = np.arange(number, len(vertex))
+    own = np.broadcast_to(mesh.face_normals[:, None], (*faces.shape, normals.shape[1]))[crease]
+    return Mesh(mesh.vertices[vertex], faces, normals=np.concatenate([normals, own])), vertex
 
 
 def _device(field: Field) -> torch.device:

@@ -1,31 +1,18 @@
 // Drawing with WebGL 2: matt clay in soft light, colours of a quantity, the cut, and the level sets on it.
 
+// The light of levelflow/rendering/shading.py: a key light over the left shoulder, a fill, sky and floor, darker hollows.
+// It falls on vertices, of which there are plenty, so that pixels are cheap where a processor draws them.
 const VERTEX = `#version 300 es
+precision highp float;
 uniform mat4 camera;
-uniform vec2 range;  // what is added to a value, and by what it is then divided, to lie in [-1, 1]
+uniform vec3 right, up, back, eye, vertical;
+uniform float colours;  // 1 to show the quantity, 0 for clay
+uniform float flatness; // 1 for a curve in the plane, which has no light
+uniform vec2 range;     // what is added to a value, and by what it is then divided, to lie in [-1, 1]
+uniform vec3 ramp[5];
 in vec3 position, normal;
 in float quantity, curvature;
-out vec3 at, n;
-out float shade, hollow;
-void main() {
-  at = position;
-  n = normal;
-  shade = (quantity + range.x) / range.y;
-  hollow = curvature;
-  gl_Position = camera * vec4(position, 1.0);
-}`;
-
-// The light of levelflow/rendering/shading.py: a key light over the left shoulder, a fill, sky and floor, darker hollows.
-const FRAGMENT = `#version 300 es
-precision highp float;
-uniform vec3 right, up, back, eye, vertical;
-uniform vec4 cut;      // an axis with its side as a sign, and the offset: what lies beyond is not drawn
-uniform float colours; // 1 to show the quantity, 0 for clay
-uniform float flatness;
-uniform vec3 ramp[5];
-in vec3 at, n;
-in float shade, hollow;
-out vec4 result;
+out vec3 at, outside, inside;
 vec3 linear(vec3 c) { return mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(0.04045, c)); }
 vec3 srgb(vec3 c) { return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c)); }
 vec3 ramped(float v) {
@@ -33,29 +20,33 @@ vec3 ramped(float v) {
   int i = min(int(s), 3);
   return mix(ramp[i], ramp[i + 1], s - float(i));
 }
-void main() {
-  if (dot(cut.xyz, at) > cut.w) discard;
-  vec3 albedo = linear(colours > 0.5 ? ramped(shade) : vec3(0.88, 0.70, 0.58));
-  if (flatness > 0.5) {
-    result = vec4(srgb(colours > 0.5 ? albedo : 0.3 * albedo), 1.0);
-    return;
-  }
-  mat3 axes = transpose(mat3(right, up, back));
-  vec3 world = normalize(n), towards = normalize(axes * (eye - at));
-  float openness = exp(-0.045 * max(-hollow, 0.0));
-  if (!gl_FrontFacing) {
-    world = -world;
-    albedo = linear(vec3(0.36, 0.50, 0.62));
-    openness = 1.0;
-  }
-  vec3 m = axes * world;
+vec3 lit(vec3 albedo, vec3 n, vec3 towards, float openness) {
+  vec3 m = n * mat3(right, up, back);  // in the frame of the camera
   vec3 key = normalize(vec3(-0.60, 0.70, 0.50));
-  float sky = 0.5 + 0.5 * dot(world, vertical), facing = clamp(dot(m, towards), 0.0, 1.0);
+  float sky = 0.5 + 0.5 * dot(n, vertical), facing = clamp(dot(m, towards), 0.0, 1.0);
   vec3 light = max(dot(m, key), 0.0) * vec3(0.90, 0.85, 0.78) + max(dot(m, normalize(vec3(0.85, 0.05, 0.5))), 0.0) * vec3(0.13, 0.14, 0.16);
   light = light * (0.4 + 0.6 * openness) + mix(vec3(0.19, 0.155, 0.135), vec3(0.36, 0.39, 0.44), sky) * openness;
   float gloss = 0.06 * pow(max(dot(m, normalize(key + towards)), 0.0), 30.0) * openness;
   vec3 rim = 0.10 * pow(1.0 - facing, 4.0) * vec3(0.36, 0.39, 0.44) * (0.3 + sky);
-  result = vec4(srgb(clamp(albedo * light + gloss + rim, 0.0, 1.0)), 1.0);
+  return srgb(clamp(albedo * light + gloss + rim, 0.0, 1.0));
+}
+void main() {
+  vec3 albedo = linear(colours > 0.5 ? ramped((quantity + range.x) / range.y) : vec3(0.88, 0.70, 0.58));
+  vec3 towards = normalize((eye - position) * mat3(right, up, back));
+  at = position;
+  outside = flatness > 0.5 ? srgb(colours > 0.5 ? albedo : 0.3 * albedo) : lit(albedo, normal, towards, exp(0.045 * curvature));
+  inside = flatness > 0.5 ? outside : lit(linear(vec3(0.36, 0.50, 0.62)), -normal, towards, 1.0);
+  gl_Position = camera * vec4(position, 1.0);
+}`;
+
+const FRAGMENT = `#version 300 es
+precision highp float;
+uniform vec4 cut;  // an axis with its side as a sign, and the offset: what lies beyond is not drawn
+in vec3 at, outside, inside;
+out vec4 result;
+void main() {
+  if (dot(cut.xyz, at) > cut.w) discard;
+  result = vec4(gl_FrontFacing ? outside : inside, 1.0);
 }`;
 
 const PLANE_VERTEX = `#version 300 es
@@ -104,12 +95,23 @@ void main() {
   result.rgb *= result.a;
 }`;
 
+// Whether pictures are made by the processor, for want of a graphics card.
+function isSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const told = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = gl?.getParameter(told ? told.UNMASKED_RENDERER_WEBGL : gl.RENDERER) ?? "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|software/i.test(name);
+}
+
 const RAMP = ["#2c5f8a", "#8fb8cf", "#f1ece4", "#e2a077", "#a33b20"];
 
 class Drawing {
   constructor(canvas) {
     this.canvas = canvas;
-    const gl = (this.gl = canvas.getContext("webgl2", { antialias: true, premultipliedAlpha: false, preserveDrawingBuffer: true }));
+    // Where a processor draws, edges are smooth only in the picture that follows when all is at rest, drawn larger.
+    this.software = isSoftware();
+    const gl = (this.gl = canvas.getContext("webgl2", { antialias: !this.software, alpha: false, preserveDrawingBuffer: true }));
     if (!gl) throw new Error("This page draws with WebGL 2, which this browser does not offer; turn on hardware acceleration, or use another browser.");
     this.surface = this.program(VERTEX, FRAGMENT, ["position", "normal", "quantity", "curvature"]);
     this.plane = this.program(PLANE_VERTEX, PLANE_FRAGMENT, ["corner"]);
@@ -181,9 +183,14 @@ class Drawing {
     return texture;
   }
 
+  // Waits until the picture is there: a pixel can only be read then.
+  finish() {
+    this.gl.readPixels(0, 0, 1, 1, this.gl.RGBA, this.gl.UNSIGNED_BYTE, new Uint8Array(4));
+  }
+
   // One picture for each pane: { left, width (pixels of the page), mesh, flat, plane, spacing, lower, upper }.
-  draw(panes, camera, { quantity, range, cut }) {
-    const gl = this.gl, { canvas } = this, ratio = window.devicePixelRatio || 1;
+  draw(panes, camera, { quantity, range, cut, resting }) {
+    const gl = this.gl, { canvas } = this, ratio = (window.devicePixelRatio || 1) * (this.software && resting ? 2 : 1);
     const [width, height] = [Math.round(canvas.clientWidth * ratio), Math.round(canvas.clientHeight * ratio)];
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     gl.disable(gl.SCISSOR_TEST);

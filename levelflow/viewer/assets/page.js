@@ -7,7 +7,7 @@ const make = (tag, properties = {}, ...children) => {
   return element;
 };
 const icon = (path) => `<svg width="14" height="14" viewBox="0 0 14 14" fill="currentColor"><path d="${path}"/></svg>`;
-const PLAY = icon("M3 1l9 6-9 6z"), PAUSE = icon("M2 1h3.5v12H2zM8.500 1H12v12H8.500z");
+const PLAY = icon("M3 1l9 6-9 6z"), PAUSE = icon("M2 1h3.5v12H2zM8.5 1H12v12H8.5z");
 const FRAMES_PER_SECOND = 12;
 
 class Viewer {
@@ -40,7 +40,7 @@ class Viewer {
     const ready = this.panes.map((pane) => pane.swap());
     if (ready.every(Boolean) && this.framed) {
       this.draw();
-      this.drawing.gl.finish();
+      this.drawing.finish();
       this.swaps.push(performance.now() - started);
     }
     this.changed();
@@ -118,10 +118,12 @@ class Viewer {
       this.due = null;
       this.draw();
       this.write();
+      clearTimeout(this.rest);
+      if (this.drawing.software) this.rest = setTimeout(() => this.playing || this.draw({ resting: true }), 250);
     });
   }
 
-  draw() {
+  draw({ resting = false } = {}) {
     const panes = this.panes.map((pane) => ({
       ...pane,
       mesh: pane.shown?.mesh,
@@ -129,7 +131,7 @@ class Viewer {
       spacing: this.spacing(pane) / pane.meta.scale,
     }));
     for (const pane of this.panes) if (pane.shown) pane.shown.used = performance.now();
-    this.drawing.draw(panes, this.camera, { quantity: this.colour, range: this.range, cut: this.cut });
+    this.drawing.draw(panes, this.camera, { quantity: this.colour, range: this.range, cut: this.cut, resting });
   }
 
   // A curve in the plane has the level sets of its whole plane.
@@ -155,8 +157,7 @@ class Viewer {
   labels() {
     for (const pane of this.panes) {
       const [title, state, note] = [make("h2", { textContent: pane.meta.name, title: pane.meta.name }), make("p"), make("p", { className: "note" })];
-      const height = "top: 50%; left: 50%";
-      note.style.cssText = height;
+      note.style.cssText = "top: 50%; left: 50%";
       Object.assign(pane, { label: make("div", { className: "label" }, title, state, note), state, note });
       if (pane.number) pane.label.append(make("div", { className: "pane-edge" }));
       $("labels").append(pane.label);
@@ -308,7 +309,7 @@ class Viewer {
     const name = `${pane.meta.name.replace(/\.[^.]*$/, "")}${time.map((t) => `_t=${short(t, 6)}`).join("")}.${format}`;
     button.disabled = true;
     try {
-      if (format === "png") this.draw();
+      if (format === "png") this.draw({ resting: true });
       const blob = format === "png" ? await new Promise((resolve) => $("canvas").toBlob(resolve)) : await this.source.file(pane.number, time, format, pane.meta);
       const link = make("a", { href: URL.createObjectURL(blob), download: name });
       link.click();
@@ -358,7 +359,7 @@ class Viewer {
       $("measured").replaceChildren(make("strong", { textContent: distance }), ` (${parts.join(", ")})`);
       drawn = `<line x1="${x}" y1="${y}" x2="${u}" y2="${v}"/><text x="${(x + u) / 2 + 8}" y="${(y + v) / 2 - 8}">${distance}</text>`;
     }
-    $("overlay").innerHTML = drawn + places.filter(Boolean).map(([x, y]) => `<circle cx="${x}" cy="${y}" r="4.500"/>`).join("");
+    $("overlay").innerHTML = drawn + places.filter(Boolean).map(([x, y]) => `<circle cx="${x}" cy="${y}" r="4.5"/>`).join("");
   }
 
   // Pointer and keys.

@@ -135,7 +135,7 @@ def _times_of(one: Viewed, times: Sequence[float]) -> list[tuple[float, ...]]:
         return [()]
     first, last = one.box.times[0]
     slack = 1e-9 * max(abs(first), abs(last))
-    inside = [(t,) for t in times if first - slack <= t <= last + slack]
+    inside: list[tuple[float, ...]] = [(t,) for t in times if first - slack <= t <= last + slack]
     if not inside:
         raise ValueError(
             f"standalone: {one.name} was solved for times from {first:g} to {last:g}, and none of {list(times)} is "

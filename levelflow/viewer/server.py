@@ -127,7 +127,7 @@ class _Handler(BaseHTTPRequestHandler):
             kind, body = self._answer(path, query)
             self._send(200, kind, body)
         except Superseded:
-            self._send_error(409, "superseded")
+            self._send(204, "application/octet-stream", b"")
         except _Refused as refusal:
             self._send_error(refusal.status, str(refusal))
         except (ValueError, ModuleNotFoundError) as error:

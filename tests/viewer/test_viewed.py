@@ -76,14 +76,14 @@ def test_values_are_those_of_the_field():
 
 @pytest.mark.parametrize("times", [0, 1, 2])
 def test_fields_of_any_number_of_parameters_are_seen(times):
-    field = placed(3, times)
-    middle = tuple((a + b) / 2 for a, b in field.box.times)
-    viewed = ViewedField(field, name="")
+    box = Box((-1.0,) * 3, (1.0,) * 3, ((0.0, 1.0),) * times)
+    field = Explicit(lambda x, t: torch.linalg.vector_norm(x, dim=1) - 0.5 - t.sum(1) / 8, 3, times, box=box)
+    viewed, middle = ViewedField(field, name=""), (0.5,) * times
     assert (SPEED in viewed.quantities) is (times == 1)
-    with pytest.warns(UserWarning, match="the mesh is open there"):
-        surface = viewed.surface(middle, resolution=8)
-        snapshot = viewed.snapshot(middle, resolution=8)
-    assert len(surface.quantities["curvature"]) == len(surface.mesh.vertices) == len(snapshot.mesh.vertices)
+    surface, snapshot = viewed.surface(middle, resolution=12), viewed.snapshot(middle, resolution=12)
+    r = 0.5 + times / 16
+    assert np.allclose(np.linalg.norm(snapshot.mesh.vertices, axis=1), r, atol=1e-4)
+    assert np.allclose(surface.quantities["curvature"], 2 / r, rtol=0.1)
     assert (snapshot.velocities is None) is (times != 1)
 
 

@@ -28,10 +28,10 @@ class ServerSource {
 
   async ask(path, query, signal) {
     const answer = await fetch(`${path}?${new URLSearchParams(query)}`, { signal });
-    if (answer.ok) return answer.arrayBuffer();
-    const error = new Error(answer.status === 409 ? "superseded" : (await answer.json()).error);
-    error.superseded = answer.status === 409;
-    throw error;
+    if (!answer.ok) throw new Error((await answer.json()).error);
+    // Nothing: the server gave up what this page wanted soon, because it asked for something else.
+    if (answer.status === 204) throw Object.assign(new Error("superseded"), { superseded: true });
+    return answer.arrayBuffer();
   }
 
   async frame(field, time, { resolution, rank, glance, signal }) {

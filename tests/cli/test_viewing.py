@@ -25,7 +25,7 @@ def files(tmp_path_factory):
     gone = Placed(SIREN(3, 1, width=4, depth=1), Box((-1,) * 3, (1,) * 3, ((0, 1),)))
     gone.field.last.bias.data.fill_(2.0)
     save(gone, folder / "gone.safetensors")
-    np.savetxt(folder / "cloud.xyz", np.eye(3))
+    np.savetxt(folder / "cloud.xyz", np.random.default_rng(0).normal(size=(50, 3)))
     return folder
 
 
@@ -60,7 +60,7 @@ def test_the_page_is_served_and_opened_until_interrupted(run, here, monkeypatch)
     monkeypatch.setattr("socketserver.BaseServer.serve_forever", served)
     code, out, _ = run("view", "moving.safetensors", "ball.ply", "sphere", "--resolution", 24, "--preview", 12)
     assert code == 0 and re.search(r"http://127\.0\.0\.1:\d+/[\w-]+/ \(Ctrl-C ends it\)", out)
-    assert "<title>moving.safetensors · ball.ply · sphere</title>" in seen[0] and "error of the speed" in seen[0]
+    assert "<title>moving.safetensors · ball.ply · sphere – levelflow</title>" in seen[0] and "error of the speed" in seen[0]
 
 
 def test_a_machine_without_a_browser_is_told_the_address(run, here, monkeypatch):

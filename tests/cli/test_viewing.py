@@ -60,7 +60,10 @@ def test_the_page_is_served_and_opened_until_interrupted(run, here, monkeypatch)
     monkeypatch.setattr("socketserver.BaseServer.serve_forever", served)
     code, out, _ = run("view", "moving.safetensors", "ball.ply", "sphere", "--resolution", 24, "--preview", 12)
     assert code == 0 and re.search(r"http://127\.0\.0\.1:\d+/[\w-]+/ \(Ctrl-C ends it\)", out)
-    assert "<title>moving.safetensors · ball.ply · sphere – levelflow</title>" in seen[0] and "error of the speed" in seen[0]
+    assert (
+        "<title>moving.safetensors · ball.ply · sphere – levelflow</title>" in seen[0]
+        and "error of the speed" in seen[0]
+    )
 
 
 def test_a_machine_without_a_browser_is_told_the_address(run, here, monkeypatch):

@@ -200,6 +200,14 @@ def test_times_can_be_typed_and_wrong_ones_are_answered(visit, serve):
     assert "“soon” is not a number; type a time from 0 to 0.8" in page.locator("#message").inner_text()
 
 
+def test_a_curve_in_the_plane_lies_among_its_level_sets(visit, serve):
+    page = visit(serve(ViewedField(growing(space=2).at(0.0), name="disc")))
+    levels = picture(page)
+    page.click("#contours")
+    settle(page)
+    assert covered(picture(page)) < 0.1 < covered(levels)
+
+
 def test_fields_stand_side_by_side_with_one_camera(visit, serve):
     page = visit(serve(ViewedField(two_parameters(), name="a"), ViewedField(two_parameters(), name="b")))
     assert page.locator(".time").count() == 2

@@ -67,6 +67,12 @@ def test_a_surface_that_has_vanished_is_a_note():
     assert gone.note.startswith("There is no surface in the box of the field")
 
 
+@pytest.mark.parametrize("space", [2, 3])
+def test_a_surface_that_has_vanished_is_a_note_at_any_resolution(space):
+    for resolution in (64, 128):
+        assert ViewedField(growing(space=space), name="").surface((-4.0,), resolution=resolution).mesh is None
+
+
 def test_values_are_those_of_the_field():
     x = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     assert np.allclose(ViewedField(growing(), name="").values(x, (0.0,)), [-1.5, 1.5])

@@ -69,7 +69,7 @@ const PLANE_FRAGMENT = `#version 300 es
 precision highp float;
 uniform highp sampler2D values;
 uniform vec3 lower, upper;
-uniform float spacing;
+uniform float spacing, pixels;  // pixels of the picture in a pixel of the page
 in vec3 at;
 in vec2 place;
 out vec4 result;
@@ -81,8 +81,8 @@ float value(vec2 p) {
              mix(texelFetch(values, i + ivec2(0, 1), 0).r, texelFetch(values, i + ivec2(1, 1), 0).r, w.x), w.y);
 }
 void main() {
-  float f = value(place), pixel = fwidth(f) + 1e-9;
-  if (any(lessThan(at, lower - 1e-4)) || any(greaterThan(at, upper + 1e-4))) discard;
+  float f = value(place), pixel = pixels * fwidth(f) + 1e-9;
+  if (any(lessThan(at, lower - 2e-3)) || any(greaterThan(at, upper + 2e-3))) discard;
   float level = f / spacing, k = round(level);
   float line = 1.0 - smoothstep(0.4, 1.3, abs(level - k) * spacing / pixel);
   float zero = 1.0 - smoothstep(1.0, 2.2, abs(f) / pixel);
@@ -230,6 +230,7 @@ class Drawing {
         gl.uniform3fv(uniforms.lower, pane.lower);
         gl.uniform3fv(uniforms.upper, pane.upper);
         gl.uniform1f(uniforms.spacing, pane.spacing);
+        gl.uniform1f(uniforms.pixels, ratio);
         gl.bindTexture(gl.TEXTURE_2D, pane.plane.texture);
         gl.bindVertexArray(this.square);
         gl.enable(gl.BLEND);

@@ -204,7 +204,7 @@ def _crossed_cells(grid: _Grid) -> np.ndarray:
     while True:
         values = grid.at_corners(blocks, side)
         crosses = _crosses(values)
-        if side == 1:
+        if side == 1 or not len(blocks):
             return blocks[crosses]
         own = _slopes(values, d) / side
         slopes = np.maximum(slopes, _around(own, crosses, counts) if coarsest else own)

@@ -252,3 +252,10 @@ def test_what_cannot_be_extracted_says_why() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         extract(torus, resolution=16, box=UNIT)
+
+
+@pytest.mark.parametrize("space", [2, 3])
+def test_a_field_far_from_zero_has_an_empty_level_set_at_any_resolution(space):
+    box = Box((-1.0,) * space, (1.0,) * space)
+    with pytest.raises(EmptyLevelSet, match="positive everywhere"):
+        extract(lambda x: 10 + x[:, 0], box=box, resolution=256 if space == 2 else 64)

@@ -26,12 +26,13 @@ LEVELS = (
     ("motion", "rendering", "transported"),
     ("flows",),
     ("fitting", "solving", "evolution", "deformation", "filtering", "recovery"),
-    ("saving", "export", "suite", "viewer"),
+    ("saving", "export", "suite"),
+    ("viewer",),
     ("cli",),
     ("__main__",),
 )
 STEPS = {
-    "cli": (("names",), ("running", "taking"), ("commands",)),
+    "cli": (("names",), ("running", "taking", "viewing"), ("commands",)),
     "equations": (("equation",), ("curvature", "eikonal", "morph", "stationary", "transport")),
     "export": (
         ("frames", "normal_motion", "printing"),
@@ -48,6 +49,7 @@ STEPS = {
         ("distance",),
         ("analytic", "cloud", "combined", "implicit", "mesh", "tabulated"),
     ),
+    "viewer": (("viewed",), ("packing",), ("frames",), ("page",), ("server",)),
 }
 LONGEST = 500
 VAGUE = {"base", "common", "helper", "helpers", "manager", "misc", "tools", "util", "utils"}

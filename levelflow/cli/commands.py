@@ -32,6 +32,7 @@ from levelflow.cli.running import (
     training,
 )
 from levelflow.cli.taking import export
+from levelflow.cli.viewing import view
 
 if TYPE_CHECKING:
     from levelflow.conditions import Key
@@ -366,6 +367,7 @@ def info(
 
 
 app.command()(export)
+app.command()(view)
 
 
 def _point(values: Sequence[float]) -> str:

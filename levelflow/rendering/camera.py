@@ -1,4 +1,4 @@
-"""Where a picture is taken from, and where points of space land in it."""
+"""Where a picture is taken from, where points of space land in it, and along which rays it looks."""
 
 from __future__ import annotations
 
@@ -111,14 +111,39 @@ class Camera:
         if points.shape[1] == 2:
             points = np.pad(points, ((0, 0), (0, 1)))
         x, y, back = self.axes @ (points - np.array(self.eye)).T
-        reach = np.tan(np.radians(self.field_of_view / 2))
         if self.orthographic:
-            scale, nearness = np.full_like(x, 1 / (reach * np.linalg.norm(np.subtract(self.eye, self.target)))), back
+            scale, nearness = np.full_like(x, 1 / self._reach), back
         else:
             nearness = np.where(back < 0, -1 / np.where(back < 0, back, -1.0), -np.inf)
-            scale = np.where(back < 0, nearness, 0.0) / reach
+            scale = np.where(back < 0, nearness, 0.0) / self._reach
         pixels = min(height, width) / 2
         return np.stack([width / 2 + pixels * scale * x, height / 2 - pixels * scale * y, nearness], axis=1)
+
+    def rays(
+        self, columns: Float[np.ndarray, " n"], rows: Float[np.ndarray, " n"], *, height: int, width: int
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        r"""Origins o and directions v of the rays through points of a picture: $o + z\,v$ is seen there at the depth z.
+
+        Columns and rows are counted as `project` counts them. Directions have unit length along the view, not in space.
+        """
+        x = (2 * columns - width) / min(height, width) * self._reach
+        y = (height - 2 * rows) / min(height, width) * self._reach
+        right, up, back = self.axes
+        sideways = x[:, None] * right + y[:, None] * up
+        eye, view = np.array(self.eye), np.broadcast_to(-back, sideways.shape)
+        return (
+            (eye + sideways, view.copy()) if self.orthographic else (np.broadcast_to(eye, view.shape), view + sideways)
+        )
+
+    def footprint(self, *, height: int, width: int) -> float:
+        """The side of a pixel at the depth 1, or at every depth if rays are parallel."""
+        return 2 * self._reach / min(height, width)
+
+    @property
+    def _reach(self) -> float:
+        """Half of what the shorter side of the picture spans at the depth 1, or at every depth if rays are parallel."""
+        distance = np.linalg.norm(np.subtract(self.eye, self.target)) if self.orthographic else 1.0
+        return float(distance * np.tan(np.radians(self.field_of_view / 2)))
 
     def depth(self, nearness: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """The distance from the eye along the view direction."""

@@ -41,6 +41,24 @@ def test_a_point_lands_where_similar_triangles_put_it() -> None:
     assert behind[2] == -np.inf
 
 
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_a_point_of_a_ray_lands_where_the_ray_starts_at_its_depth(orthographic: bool) -> None:
+    camera = Camera.around(BOX, 40, 20, orthographic=orthographic)
+    columns, rows, depth = np.array([0.5, 31.0, 59.9]), np.array([3.0, 20.0, 39.9]), np.array([2.0, 5.0, 9.0])
+    origins, directions = camera.rays(columns, rows, height=40, width=60)
+    there = camera.project(origins + depth[:, None] * directions, height=40, width=60)
+    assert np.allclose(there[:, :2], np.stack([columns, rows], axis=1))
+    assert np.allclose(camera.depth(there[:, 2]), depth)
+    assert np.allclose(-directions @ camera.axes[2], 1)
+    aside, _ = camera.rays(columns[:1] + 1, rows[:1], height=40, width=60)
+    step = (
+        np.linalg.norm(aside - origins[:1])
+        if orthographic
+        else np.linalg.norm(camera.rays(columns[:1] + 1, rows[:1], height=40, width=60)[1] - directions[:1])
+    )
+    assert step == pytest.approx(camera.footprint(height=40, width=60))
+
+
 def test_the_plane_is_seen_from_the_front() -> None:
     camera = Camera.around(Box((0, 0), (2, 1)))
     pixels = camera.project(np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 1.0]]), height=108, width=108)

@@ -42,7 +42,7 @@ STEPS = {
     ),
     "flows": (("flow",),),
     "networks": (("siren",), ("lifting",)),
-    "rendering": (("camera",), ("rasterising",), ("shading",), ("curves",), ("images",)),
+    "rendering": (("camera",), ("hits",), ("rasterising", "tracing"), ("shading",), ("curves",), ("images",)),
     "shapes": (
         ("shape",),
         ("reading", "simplices", "writing"),

@@ -130,7 +130,7 @@ class Camera:
         y = (height - 2 * rows) / min(height, width) * self._reach
         right, up, back = self.axes
         sideways = x[:, None] * right + y[:, None] * up
-        eye, view = np.array(self.eye), np.broadcast_to(-back, sideways.shape)
+        eye, view = np.array(self.eye, dtype=np.float64), np.broadcast_to(-back, sideways.shape)
         return (
             (eye + sideways, view.copy()) if self.orthographic else (np.broadcast_to(eye, view.shape), view + sideways)
         )

@@ -42,7 +42,14 @@ STEPS = {
     ),
     "flows": (("flow",),),
     "networks": (("siren",), ("lifting",)),
-    "rendering": (("camera",), ("hits",), ("rasterising", "tracing"), ("shading",), ("curves",), ("images",)),
+    "rendering": (
+        ("camera", "colours", "quantities"),
+        ("hits",),
+        ("rasterising", "tracing"),
+        ("shading",),
+        ("curves",),
+        ("images",),
+    ),
     "shapes": (
         ("shape",),
         ("reading", "simplices", "writing"),

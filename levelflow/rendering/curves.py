@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from levelflow.rendering.camera import Camera
-from levelflow.rendering.shading import Clay, linear
+from levelflow.rendering.colours import linear
+from levelflow.rendering.shading import Clay
 from levelflow.shapes.mesh import Mesh
 
 

@@ -1,4 +1,4 @@
-"""Pictures of meshes: one, or many side by side for comparison."""
+"""Pictures of surfaces: one, or many side by side for comparison."""
 
 from __future__ import annotations
 
@@ -8,12 +8,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
+from levelflow.extraction import EmptyLevelSet
+from levelflow.fields import Field
 from levelflow.rendering.camera import Camera
+from levelflow.rendering.colours import Scale, bar_width, linear, srgb, with_bar
 from levelflow.rendering.curves import draw
-from levelflow.rendering.rasterising import rasterise
-from levelflow.rendering.shading import Clay, linear, shade, srgb
+from levelflow.rendering.hits import Hits
+from levelflow.rendering.quantities import Quantity
+from levelflow.rendering.rasterising import hits_on, rasterise
+from levelflow.rendering.shading import Clay, Normals, shade
+from levelflow.rendering.tracing import framed, sphere_trace
 from levelflow.shapes.mesh import Mesh
 from levelflow.shapes.writing import replace_file
 
@@ -21,42 +27,98 @@ _INK, _FAINT = (64, 60, 56), (150, 145, 140)
 
 
 def image(
-    mesh: Mesh,
+    surface: Mesh | Field,
     camera: Camera | None = None,
     *,
     size: int | tuple[int, int] = 512,
-    material: Clay = Clay(),  # noqa: B008
+    material: Clay | Normals = Clay(),  # noqa: B008
+    values: Quantity | Float[np.ndarray, " n"] | None = None,
+    scale: Scale | None = None,
     supersampling: int = 2,
 ) -> UInt8[np.ndarray, "h w 3"]:
     """A picture of a surface (d = 3) or of a filled curve (d = 2).
 
+    A mesh is rasterised. A field is traced, without a mesh in between: every pixel shows its surface itself.
+
     Args:
-        mesh: Its front faces and back faces have different colours, so openings and flipped faces are seen.
-        camera: By default one that frames the mesh from the front right.
+        surface: A mesh, whose front faces and back faces have different colours, so that openings and flipped faces
+            are seen; or a field over three space coordinates, without times, with a box.
+        camera: By default one that frames the surface from the front right.
         size: Pixels, or (height, width).
-        material: The colours.
-        supersampling: Samples per pixel and axis; edges are antialiased by their mean in linear light.
+        material: The colours; `Normals()` shows directions.
+        values: Numbers shown by colours, with a colour bar on the right: a quantity, or one number for each vertex.
+        scale: What the colours stand for; by default fitted to the values at the surface.
+        supersampling: Samples per pixel and axis, of a field at edges only; edges are antialiased by their mean in
+            linear light.
 
     Returns:
         sRGB values (h, w, 3).
 
     Raises:
-        ValueError: If the size or the supersampling is not positive.
+        ValueError: If the size or the supersampling is not positive, or the numbers do not fit the surface.
+        EmptyLevelSet: If a field has no surface that is seen in its box.
     """
     height, width = (size, size) if isinstance(size, int) else size
     if height < 1 or width < 1 or supersampling < 1:
         raise ValueError(
             f"image(size={size}, supersampling={supersampling}): a picture has at least one pixel and one sample."
         )
-    camera = Camera.around(mesh.vertices) if camera is None else camera
-    h, w = height * supersampling, width * supersampling
-    if mesh.faces.shape[1] == 2:
-        light = draw(mesh, camera, height=h, width=w, material=material, line=max(min(h, w) / 128, 1.0))
-    else:
-        raster = rasterise(mesh, camera, height=h, width=w)
-        colours = shade(raster, mesh, camera, material=material).astype(np.float32)
-        light = raster.place(colours, background=linear(np.array(material.ground)))
-    light = light.reshape(height, supersampling, width, supersampling, 3).mean((1, 3))
+    if camera is None:
+        camera = framed(surface) if isinstance(surface, Field) else Camera.around(surface.vertices)
+    if isinstance(surface, Mesh) and surface.faces.shape[1] == 2:
+        if values is not None or not isinstance(material, Clay):
+            raise ValueError("image(mesh): a curve in the plane is drawn as clay, without values; leave them out.")
+        h, w = height * supersampling, width * supersampling
+        light = draw(surface, camera, height=h, width=w, material=material, line=max(min(h, w) / 128, 1.0))
+        return _encoded(light.reshape(height, supersampling, width, supersampling, 3).mean((1, 3)))
+    ground = linear(np.array(material.ground))
+    if values is None:
+        hits, _ = _seen(surface, None, camera, height, width, supersampling)
+        return _encoded(hits.place(shade(hits, camera, material=material), background=ground))
+    if width <= bar_width(height):
+        raise ValueError(f"image(size={size}, values=...): there is no room for the colour bar; widen the picture.")
+    hits, numbers = _seen(surface, values, camera, height, width - bar_width(height), supersampling)
+    if scale is None:
+        signed, label = (values.signed, values.label) if isinstance(values, Quantity) else (True, "")
+        scale = Scale.of(numbers, signed=signed, label=label)
+    clay = material if isinstance(material, Clay) else Clay(ground=material.ground)
+    light = shade(hits, camera, material=clay, albedo=scale(numbers))
+    picture = _encoded(hits.place(light, background=ground))
+    return with_bar(picture, scale, ground=material.ground)
+
+
+def _seen(
+    surface: Mesh | Field,
+    values: Quantity | np.ndarray | None,
+    camera: Camera,
+    height: int,
+    width: int,
+    samples: int,
+) -> tuple[Hits, np.ndarray]:
+    """What is seen, and the numbers there; none if none are asked for."""
+    if isinstance(surface, Field):
+        hits = sphere_trace(surface, camera, height=height, width=width, samples=samples)
+        if not len(hits.pixels):
+            raise EmptyLevelSet(
+                "image(f): no surface is seen: it has vanished, lies outside the box of the field, or the camera looks "
+                "elsewhere. `framed(f)` gives a camera that looks at it."
+            )
+        if isinstance(values, np.ndarray):
+            raise ValueError("image(f, values=...): numbers at vertices need a mesh; give a `Quantity`.")
+        return hits, np.zeros(0) if values is None else values.at(hits.points)
+    raster = rasterise(surface, camera, height=height * samples, width=width * samples)
+    hits = hits_on(raster, surface, camera, samples=samples)
+    if values is None:
+        return hits, np.zeros(0)
+    numbers = values.at(surface.vertices) if isinstance(values, Quantity) else values
+    if len(numbers) != len(surface.vertices):
+        raise ValueError(
+            f"image(mesh, values=...): {len(numbers)} values for {len(surface.vertices)} vertices; give one for each."
+        )
+    return hits, raster.interpolate(numbers[surface.faces][..., None])[:, 0]
+
+
+def _encoded(light: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
     return (255 * srgb(light) + 0.5).astype(np.uint8)
 
 

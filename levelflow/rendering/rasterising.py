@@ -9,11 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from levelflow.rendering.camera import Camera
+from levelflow.rendering.hits import Hits, towards_eye
 from levelflow.shapes.mesh import Mesh
 
 _FRAGMENTS_AT_ONCE = 1 << 21
 # In pixels: neighbours round the end of a shared span differently, and must leave no hole between them.
 _OVERLAP = 1e-9
+# The cosine between a face's normal and a vertex's below which there is an edge to be seen.
+_CREASE = 0.75
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,33 @@ def rasterise(mesh: Mesh, camera: Camera, *, height: int, width: int) -> Raster:
     if not camera.orthographic:
         barycentric *= points[faces, :, 2] / nearness[:, None]
     return Raster(height, width, pixels, faces, barycentric, camera.depth(nearness))
+
+
+def hits_on(raster: Raster, mesh: Mesh, camera: Camera, *, samples: int) -> Hits:
+    """What a raster sees of a mesh, as samples of a picture whose pixels are `samples` times as large.
+
+    Normals are those of the vertices, between them; at creases those of the faces.
+    """
+    faces = mesh.face_normals
+    corners = mesh.vertex_normals[mesh.faces]
+    crease = (corners * faces[:, None]).sum(2) < _CREASE
+    normals = raster.interpolate(np.where(crease[..., None], faces[:, None], corners))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(min=1e-300)
+    points = raster.interpolate(mesh.vertices[mesh.faces])
+    towards = towards_eye(camera, points)
+    rows, columns = raster.pixels // raster.width // samples, raster.pixels % raster.width // samples
+    width = raster.width // samples
+    return Hits(
+        raster.height // samples,
+        width,
+        rows * width + columns,
+        np.full(len(points), 1 / samples**2),
+        points,
+        normals,
+        raster.depth,
+        towards,
+        (faces[raster.faces] * towards).sum(1) < 0,
+    )
 
 
 def _planes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,9 +12,10 @@ from torch import Tensor
 
 from levelflow.boxes import Box
 from levelflow.curvature import gradient_norm
+from levelflow.extraction import EmptyLevelSet
 from levelflow.fields import Field
 from levelflow.jets import Jet
-from levelflow.rendering.camera import Camera
+from levelflow.rendering.camera import Camera, Vector
 from levelflow.rendering.hits import Hits, towards_eye
 
 # How much steeper than measured a field may be: samples of a slope underestimate it between the samples.
@@ -26,6 +27,8 @@ _COARSE = 48
 # Pixels: the greatest slope of depth at which a coarser picture foretells a finer one, and how far before the surface
 # the cones of the coarser picture may have ended.
 _STEEPEST, _NEAR = 4.0, 8.0
+# Pixels that a ray may go on near the surface where the usual slope, not the bound, says that there is none.
+_STRIDE = 8.0
 # Regula falsi after the sign has changed; the jet at the hit makes one Newton step more.
 _FALSI = 2
 # The cosine between the normals of neighbouring pixels below which there is an edge.
@@ -46,8 +49,8 @@ def sphere_trace(
 
     A ball of radius $|f(x)| / L$ around x holds no surface if L bounds the slope of f; so a ray may go on by that much,
     whether f is a distance or not. By default L is 1.2 times the steepest slope at 8192 points of the box. Near the
-    surface a step is that of the secant and at most a pixel, until the sign changes: regula falsi then keeps it
-    bracketed. What is thinner than a pixel along the ray may be passed over.
+    surface a step is that of the secant, until the sign changes and regula falsi keeps it bracketed; it ends at most a
+    pixel behind where the surface would be at the usual slope, so that thinner things may be passed over.
 
     Coarse pictures come first. A whole pixel of theirs goes on as a cone, as far as it certainly meets nothing, and the
     finer pixels in it start there. Where the coarse hits around a pixel lie on a smooth piece of surface, and the cones
@@ -90,6 +93,33 @@ def sphere_trace(
         return _Tracer(field, camera, height, width, box, lipschitz).hits(samples)
 
 
+def framed(
+    field: Field,
+    azimuth: float = 30.0,
+    elevation: float = 15.0,
+    *,
+    up: Vector = (0.0, 1.0, 0.0),
+    orthographic: bool = False,
+    box: Box | None = None,
+) -> Camera:
+    """A camera that sees the surface of a field and little more, by `Camera.around` what a small picture shows of it.
+
+    Raises:
+        EmptyLevelSet: If that picture shows nothing.
+    """
+    box = box or field.box
+    if box is None:
+        raise ValueError("framed(f): the field has no box; say where its surface is: `framed(..., box=Box(...))`.")
+    wide = Camera.around(box, azimuth, elevation, up=up, orthographic=orthographic)
+    points = sphere_trace(field, wide, height=96, width=96, box=box).points
+    if not len(points):
+        raise EmptyLevelSet(
+            f"framed(f): no surface is seen in the box from {box.lower} to {box.upper}: it has vanished, or lies "
+            "outside the box."
+        )
+    return Camera.around(points, azimuth, elevation, up=up, orthographic=orthographic)
+
+
 @dataclass(frozen=True)
 class _Level:
     """A picture of pixels that are `factor` times as large: safe depths and hits, infinite where nothing is seen."""
@@ -125,7 +155,10 @@ class _Tracer:
         tensors = itertools.chain(field.parameters(), field.buffers())
         self.device = next((tensor.device for tensor in tensors), torch.device("cpu"))
         self.pixel = camera.footprint(height=height, width=width)
-        self.lipschitz = self._slope() if lipschitz is None else lipschitz
+        slopes = self._slopes()
+        self.lipschitz = _SAFETY * float(slopes.max()) if lipschitz is None else lipschitz
+        # A field that is flat nearly everywhere is no less steep at its surface.
+        self.usual = max(float(slopes.median()), self.lipschitz / 3)
         if not 0 < self.lipschitz < np.inf:
             raise ValueError(
                 f"sphere_trace(f): the slope of the field in the box is bounded by {self.lipschitz:g}; without a "
@@ -234,18 +267,25 @@ class _Tracer:
         side[active] = np.where(value[active] > 0, 1.0, -1.0)
         value = np.abs(value)
         bound = self.lipschitz * np.linalg.norm(rays.directions, axis=1)
-        guess = np.full(len(start), np.inf)
+        slope = -bound
         brackets: list[tuple[np.ndarray, ...]] = []
         while len(active):
-            z, f = depth[active], value[active]
-            most = factor * self.pixel * (1.0 if self.camera.orthographic else z)
-            step = np.maximum(f / bound[active], np.minimum(1.02 * guess[active] + 0.01 * most, most))
+            z, f, b, g = depth[active], value[active], bound[active], slope[active]
+            pixel = factor * self.pixel * (1.0 if self.camera.orthographic else z)
+            secant = np.where(g < 0, -1.02 * f / np.where(g < 0, g, 1.0) + 0.01 * pixel, np.inf)
+            most = pixel + np.minimum(f / self.usual, _STRIDE * pixel)
+            sure = np.maximum(f / b, np.minimum(secant, most))
+            # Two empty balls that touch are as good as one: so far the ray goes if the slope along it stays the same.
+            step = np.maximum(sure, 1.9 * f / (b - g.clip(-b, 0.9 * b)))
             there = np.minimum(z + step, rays.last[active])
             now = self._values(rays[active].at(there)) * side[active]
+            apart = np.flatnonzero((there - z > sure) & (now < b * (there - z) - f))
+            there[apart] = z[apart] + sure[apart]
+            now[apart] = self._values(rays[active[apart]].at(there[apart])) * side[active[apart]]
             crossed = now <= 0
             brackets.append((active[crossed], z[crossed], f[crossed], there[crossed], now[crossed]))
             depth[active], value[active] = there, now
-            guess[active] = np.where(f > now, now * (there - z) / np.where(f > now, f - now, 1.0), np.inf)
+            slope[active] = (now - f) / np.where(there > z, there - z, np.inf)
             active = active[~crossed & (there < rays.last[active])]
         found, *bracket = (np.concatenate(parts) for parts in zip(*brackets, strict=True))
         hit[found] = self._regula_falsi(rays[found], side[found], *bracket)
@@ -317,11 +357,10 @@ class _Tracer:
         weights = np.full(len(depth), 1 / samples**2)
         return owner[seen], weights, rays.at(depth), normals, depth, behind
 
-    def _slope(self) -> float:
-        """A bound of the slope of the field in the box, from samples."""
+    def _slopes(self) -> Tensor:
+        """The slopes of the field at points of the box."""
         points = self.box.uniform(_SLOPE_SAMPLES, generator=torch.Generator().manual_seed(0))
-        gradients = self._jets(points.numpy()).gradient
-        return _SAFETY * float(torch.linalg.vector_norm(gradients, dim=1).max())
+        return torch.linalg.vector_norm(self._jets(points.numpy()).gradient.detach(), dim=1)
 
     def _values(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         parts = [self.field(part.to(self.device)).double().cpu() for part in self._parts(points)]

@@ -4,14 +4,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from levelflow.boxes import Box
-from levelflow.extraction import extract
+from levelflow.extraction import EmptyLevelSet, extract
 from levelflow.rendering.camera import Camera
+from levelflow.rendering.colours import Scale, bar_width
 from levelflow.rendering.images import contact_sheet, image, write
-from levelflow.rendering.shading import Clay, linear, srgb
+from levelflow.rendering.quantities import Curvature
+from levelflow.rendering.shading import Clay, Normals
+from levelflow.rendering.tracing import framed
 from levelflow.shapes.analytic import Sphere
 from levelflow.shapes.mesh import Mesh
+from tests.fields import Explicit
 
 GROUND = np.round(255 * np.array(Clay().ground)).astype(np.uint8)
 BALL = extract(Sphere(0.6).distance, resolution=32, box=Box((-1, -1, -1), (1, 1, 1)))
@@ -89,15 +94,62 @@ def test_pictures_are_written_whole_or_not_at_all(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_srgb_and_light_are_inverse() -> None:
-    values = np.linspace(0, 1, 101)
-    assert np.allclose(srgb(linear(values)), values, atol=1e-5)
-    assert linear(np.array(0.5)) == pytest.approx(0.2140, abs=1e-4)
+def test_a_traced_field_looks_like_its_mesh() -> None:
+    field = Explicit(lambda x, t: torch.linalg.vector_norm(x, dim=1) - 0.6, 3, box=Box((-1, -1, -1), (1, 1, 1)))
+    camera = Camera.around(BALL.vertices)
+    smooth = Mesh(BALL.vertices, BALL.faces, normals=BALL.vertices / 0.6)
+    mesh, traced = image(smooth, camera, size=96), image(field, camera, size=96)
+    assert np.abs(mesh.astype(int) - traced).mean() < 1.0
+    # Without a camera the surface fills the picture, not its box.
+    covered = (image(field, size=96) != GROUND).any(2)
+    assert covered.any(0).sum() > 80
+    assert not covered[0].any()
+
+
+def test_directions_are_colours() -> None:
+    camera = Camera((0, 0, 5), orthographic=True)
+    picture = image(BALL, camera, size=65, material=Normals())
+    # In the middle the normal is z; to the right it turns to x, and up to y.
+    assert np.abs(picture[32, 32].astype(int) - [128, 128, 255]).max() <= 4
+    assert picture[32, 44, 0] > 190
+    assert picture[20, 32, 1] > 190
+
+
+def test_values_are_colours_of_a_scale_beside_a_bar() -> None:
+    camera, scale = Camera((0, 0, 5), orthographic=True), Scale(-1, 1)
+    heights = BALL.vertices[:, 1] / 0.6
+    picture = image(BALL, camera, size=(90, 120), values=heights, scale=scale)
+    assert picture.shape == (90, 120, 3)
+    middle = (120 - bar_width(90)) // 2
+    above, below = picture[27, middle].astype(int), picture[63, middle].astype(int)
+    assert above[0] > above[2] + 40
+    assert below[2] > below[0] + 40
+    # A scale of its own: the numbers of a sphere's curvature do not vary, and are positive.
+    field = Explicit(lambda x, t: torch.linalg.vector_norm(x, dim=1) - 0.6, 3, box=Box((-1, -1, -1), (1, 1, 1)))
+    for surface in (BALL, field):
+        red = image(surface, camera, size=64, values=Curvature(field))[32, (64 - bar_width(64)) // 2].astype(int)
+        assert red[0] > red[2] + 40
 
 
 def test_pictures_that_cannot_be() -> None:
     with pytest.raises(ValueError, match="at least one pixel"):
         image(BALL, size=0)
+    field = Explicit(lambda x, t: x[:, 0] + 5, 3, box=Box((-1, -1, -1), (1, 1, 1)))
+    with pytest.raises(EmptyLevelSet, match="has vanished, or lies outside"):
+        image(field, size=8)
+    with pytest.raises(EmptyLevelSet, match="the camera looks elsewhere"):
+        image(field, Camera((0, 0, 5)), size=8)
+    with pytest.raises(ValueError, match="has no box"):
+        framed(Explicit(lambda x, t: x[:, 0], 3))
+    ball = Explicit(lambda x, t: torch.linalg.vector_norm(x, dim=1) - 0.6, 3, box=Box((-1, -1, -1), (1, 1, 1)))
+    with pytest.raises(ValueError, match="need a mesh"):
+        image(ball, Camera((0, 0, 5)), size=64, values=np.zeros(3))
+    with pytest.raises(ValueError, match="give one for each"):
+        image(BALL, size=64, values=np.zeros(3))
+    with pytest.raises(ValueError, match="no room for the colour bar"):
+        image(BALL, size=8, values=np.zeros(len(BALL.vertices)))
+    with pytest.raises(ValueError, match="drawn as clay"):
+        image(RING, size=8, values=np.zeros(len(RING.vertices)))
     with pytest.raises(ValueError, match="one label per mesh"):
         contact_sheet([BALL], ["a", "b"])
     with pytest.raises(ValueError, match="0 meshes"):

@@ -32,7 +32,7 @@ LEVELS = (
     ("__main__",),
 )
 STEPS = {
-    "cli": (("names",), ("running", "taking", "viewing"), ("commands",)),
+    "cli": (("names",), ("running", "taking", "viewing"), ("commands",), ("showing",)),
     "equations": (("equation",), ("curvature", "eikonal", "morph", "stationary", "transport")),
     "export": (
         ("frames", "normal_motion", "printing"),
@@ -49,6 +49,7 @@ STEPS = {
         ("shading",),
         ("curves",),
         ("images",),
+        ("film",),
     ),
     "shapes": (
         ("shape",),

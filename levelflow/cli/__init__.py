@@ -7,9 +7,10 @@ import warnings
 
 import typer
 
+from levelflow.cli import showing
 from levelflow.cli.commands import app
 
-__all__ = ["app", "main"]
+__all__ = ["app", "main", "showing"]
 
 
 def main() -> None:

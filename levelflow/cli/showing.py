@@ -1,0 +1,209 @@
+"""The commands that show surfaces: a picture, a film."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from levelflow.cli.commands import Quiet, app
+from levelflow.cli.names import key_named, numbers_in, times_in
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from levelflow.fields import Field
+    from levelflow.rendering.camera import Vector
+    from levelflow.rendering.quantities import Quantity
+    from levelflow.shapes import Mesh
+
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_COLOURS = ("clay", "normal", "curvature")
+_PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
+
+Surface = Annotated[str, typer.Argument(metavar="FIELD|MESH", help="A field (.safetensors), a mesh, or a built-in.")]
+Time = Annotated[float | None, typer.Option("--time", help="When, for a field that moves.")]
+Size = Annotated[str, typer.Option(help="Pixels, 512, or width x height, 1280x720.")]
+ColourBy = Annotated[str, typer.Option("--colour", "--color", help="clay, normal or curvature (k1 + k2).")]
+Azimuth = Annotated[float, typer.Option(help="Degrees around the upright axis; 90 looks at the side that faces +x.")]
+Elevation = Annotated[float, typer.Option(help="Degrees above the horizon.")]
+Up = Annotated[str, typer.Option(help="What points up: x, y, z, or x,y,z numbers.")]
+Cells = Annotated[int, typer.Option("--resolution", help="Marching-cubes cells along the longest side.")]
+
+
+@app.command()
+def render(
+    surface: Surface,
+    output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .jpg, .webp, ...")],
+    time: Time = None,
+    size: Size = "512",
+    colour: ColourBy = "clay",
+    azimuth: Azimuth = 30.0,
+    elevation: Elevation = 15.0,
+    up: Up = "y",
+    by: Annotated[
+        str | None,
+        typer.Option(help="trace: rays meet the field itself; mesh: by marching cubes [default: trace for fields]."),
+    ] = None,
+    resolution: Cells = 160,
+    quiet: Quiet = False,
+) -> None:
+    """Draw a picture of a surface."""
+    from levelflow.fields import Field
+    from levelflow.rendering.camera import Camera
+    from levelflow.rendering.images import image, write
+    from levelflow.rendering.quantities import Curvature, mesh_curvature
+    from levelflow.rendering.shading import Clay, Normals
+    from levelflow.rendering.tracing import framed
+
+    if output.suffix.lower() not in _PICTURES:
+        raise ValueError(f"render -o {output}: known formats are {', '.join(_PICTURES)}.")
+    if by not in (None, "trace", "mesh"):
+        raise ValueError(f"render --by {by}: give trace or mesh.")
+    _require_colour("render", colour)
+    shape, where = _size_in(size), {"azimuth": azimuth, "elevation": _elevation(elevation), "up": _up_named(up)}
+    shown = _surface_named("render", surface, time)
+    values: Quantity | np.ndarray | None = None
+    if isinstance(shown, Field):
+        if shown.times:
+            first, last = shown.box.times[0]  # type: ignore[union-attr]
+            raise ValueError(f"render {surface}: the field moves from t = {first:g} to {last:g}; say when with --time.")
+        field = shown
+        drawn = _mesh_of(field, resolution) if by == "mesh" or field.space == 2 else field
+        values = Curvature(field) if colour == "curvature" else None
+    elif by == "trace":
+        raise ValueError(f"render {surface} --by trace: this is a mesh; fit a field first, or leave --by out.")
+    else:
+        drawn = shown
+        values = mesh_curvature(shown) if colour == "curvature" else None
+    camera = (
+        framed(drawn, **where) if isinstance(drawn, Field) else Camera.around(drawn.vertices, **where)  # type: ignore[arg-type]
+    )
+    picture = image(drawn, camera, size=shape, material=Normals() if colour == "normal" else Clay(), values=values)
+    write(picture, output)
+    if not quiet:
+        typer.echo(f"{output}: {shape[1]} x {shape[0]} pixels")
+
+
+@app.command()
+def film(
+    surface: Surface,
+    output: Annotated[Path, typer.Option("--output", "-o", help="The film to write: .mp4, .webm or .gif.")],
+    times: Annotated[
+        str | None, typer.Option(help="first:last:number, 0:1:60, or 0,0.5,1 [default: all that the field has].")
+    ] = None,
+    time: Annotated[
+        float | None, typer.Option("--time", help="A single time, to turn around what stands still.")
+    ] = None,
+    turntable: Annotated[
+        float, typer.Option(help="Degrees that the camera goes around in the course of the film.")
+    ] = 0.0,
+    frames: Annotated[int, typer.Option(help="How many, where --times does not say it.")] = 60,
+    fps: Annotated[float, typer.Option(help="Frames a second.")] = 25.0,
+    size: Size = "512",
+    quality: Annotated[float, typer.Option(help="0 to 10, of .mp4 and .webm.")] = 7.0,
+    bounce: Annotated[bool, typer.Option("--bounce", help="Run back to the start as well.")] = False,
+    colour: ColourBy = "clay",
+    azimuth: Azimuth = 30.0,
+    elevation: Elevation = 15.0,
+    up: Up = "y",
+    resolution: Cells = 128,
+    quiet: Quiet = False,
+) -> None:
+    """Make a film of a surface: in time, turned around, or both."""
+    from levelflow.fields import Field
+    from levelflow.rendering.film import film as make_film
+    from levelflow.rendering.quantities import Curvature, mesh_curvature
+    from levelflow.rendering.shading import Clay, Normals
+
+    _require_colour("film", colour)
+    shape, vertical = _size_in(size), _up_named(up)
+    shown = _surface_named("film", surface, time)
+    asked: list[float] = []
+    if isinstance(shown, Field) and shown.times:
+        first, last = shown.box.times[0]  # type: ignore[union-attr]
+        asked = times_in(times or f"{first!r}:{last!r}:{frames}")
+    elif times is not None:
+        raise ValueError(f"film {surface} --times {times}: the surface stands still; leave --times out, or --time.")
+    elif not turntable:
+        raise ValueError(f"film {surface}: the surface stands still; turn it around with --turntable 360.")
+    values = None
+    if colour == "curvature" and isinstance(shown, Field):
+        field = shown
+        values = (lambda t: Curvature(field.at(t))) if field.times else Curvature(field)
+    elif colour == "curvature":
+        values = mesh_curvature(shown)  # type: ignore[arg-type, assignment]
+    count = make_film(
+        shown, output, times=asked, turn=turntable, frames=frames, azimuth=azimuth, elevation=_elevation(elevation),
+        up=vertical, size=shape, material=Normals() if colour == "normal" else Clay(), values=values, rate=fps,
+        quality=quality, bounce=bounce, resolution=resolution,
+    )  # fmt: skip
+    if not quiet:
+        typer.echo(f"{output}: {count} frames of {shape[1]} x {shape[0]} pixels, {count / fps:.3g} s")
+
+
+def _surface_named(call: str, text: str, time: float | None) -> Field | Mesh:
+    """A field, at a time if one is given, or a mesh."""
+    from levelflow.fields import Field
+    from levelflow.shapes import Mesh, Solid
+
+    shown: object
+    if text.endswith(".safetensors"):
+        from levelflow.saving import load
+
+        shown = load(text)
+    else:
+        shown = key_named(text)
+    if isinstance(shown, Field):
+        if time is None:
+            return shown
+        if not shown.times:
+            raise ValueError(f"{call} {text} --time {time:g}: the field does not depend on time; leave --time out.")
+        return shown.at(time)
+    if time is not None:
+        raise ValueError(f"{call} {text} --time {time:g}: a shape has no time; leave --time out.")
+    if isinstance(shown, Mesh):
+        return shown
+    if isinstance(shown, Solid):
+        from levelflow.extraction import extract
+
+        return extract(shown.distance, resolution=128, box=shown.box.expanded(0.05 * max(shown.box.size)), refine=2)
+    raise ValueError(
+        f"{call} {text}: a point cloud has no surface to be seen; fit a field first: levelflow fit {text} -o ..."
+    )
+
+
+def _mesh_of(field: Field, resolution: int) -> Mesh:
+    from levelflow.extraction import extract
+
+    return extract(field, resolution=resolution)
+
+
+def _require_colour(call: str, colour: str) -> None:
+    if colour not in _COLOURS:
+        raise ValueError(f"{call} --colour {colour}: known are {', '.join(_COLOURS)}.")
+
+
+def _size_in(text: str) -> tuple[int, int]:
+    """(height, width) of `512` or `1280x720`."""
+    parts = text.lower().split("x")
+    if len(parts) > 2 or not all(part.strip().isdecimal() and 1 <= int(part) <= 8192 for part in parts):
+        raise ValueError(f"--size {text}: give pixels, 512, or width x height, 1280x720, up to 8192.")
+    return int(parts[-1]), int(parts[0])
+
+
+def _elevation(degrees: float) -> float:
+    if not -90 < degrees < 90:
+        raise ValueError(f"--elevation {degrees:g}: give degrees between -90 and 90.")
+    return degrees
+
+
+def _up_named(text: str) -> Vector:
+    if text.lstrip("+-") in _AXES:
+        x, y, z = (value * (-1 if text.startswith("-") else 1) + 0.0 for value in _AXES[text.lstrip("+-")])
+        return x, y, z
+    direction = numbers_in(text, "--up")
+    if len(direction) != 3 or not any(direction):
+        raise ValueError(f"--up {text}: give x, y or z, or three numbers that are not all zero.")
+    return direction

@@ -1,0 +1,133 @@
+"""The commands that show surfaces, as a user meets them."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from levelflow import SIREN, Box, Placed, save
+from levelflow.cli import main
+from levelflow.networks.lifting import lift
+
+pytestmark = pytest.mark.filterwarnings("default")
+
+
+@pytest.fixture
+def run(capsys, monkeypatch):
+    """Runs a command in this process; returns exit code, standard output and standard error."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["levelflow", *map(str, arguments)])
+        try:
+            main()
+            code = 0
+        except SystemExit as stop:
+            code = stop.code or 0
+        return (code, *capsys.readouterr())
+
+    return call
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder with a moving field, a still one, one without a surface, and a cloud of points."""
+    monkeypatch.chdir(tmp_path)
+    box, network = Box((-1, -1, -1), (1, 1, 1)), SIREN(width=16, depth=1)
+    network.last.bias.data -= network(Box((0, 0, 0), (0, 0, 0)).uniform(1, generator=_generator()).float()).detach()
+    save(Placed(lift(network), box.during((0.0, 1.0))), "moving.safetensors")
+    save(Placed(network, box), "still.safetensors")
+    network.last.bias.data += 100
+    save(Placed(network, box), "empty.safetensors")
+    np.savetxt("cloud.xyz", np.random.default_rng(0).normal(size=(40, 3)))
+    return tmp_path
+
+
+def _generator():
+    import torch
+
+    return torch.Generator().manual_seed(0)
+
+
+def picture(path):
+    from PIL import Image
+
+    return np.array(Image.open(path).convert("RGB"))
+
+
+def test_pictures_of_fields_meshes_and_built_ins(run, folder):
+    code, out, _ = run("render", "moving.safetensors", "--time", 0.5, "-o", "x.png", "--size", "80x60")
+    assert code == 0 and "80 x 60 pixels" in out
+    assert picture("x.png").shape == (60, 80, 3)
+    assert run("render", "still.safetensors", "-o", "y.png", "--size", 60, "--by", "mesh", "-q")[:2] == (0, "")
+    assert run("render", "torus", "-o", "z.jpg", "--size", 60, "--up", "z", "--elevation", -20)[0] == 0
+    views = [picture(name) for name in ("y.png", "z.jpg")]
+    assert all(np.ptp(view.reshape(-1, 3), axis=0).min() > 50 for view in views)
+    for colour in ("clay", "normal", "curvature"):
+        assert run("render", "sphere", "-o", f"{colour}.png", "--size", 64, "--colour", colour)[0] == 0
+    assert run("render", "still.safetensors", "-o", "k.png", "--size", 64, "--colour", "curvature")[0] == 0
+    assert not np.array_equal(picture("clay.png"), picture("normal.png"))
+
+
+def test_a_traced_picture_agrees_with_that_of_the_mesh(run, folder):
+    for by in ("trace", "mesh"):
+        assert run("render", "still.safetensors", "-o", f"{by}.png", "--size", 96, "--by", by, "--azimuth", 70)[0] == 0
+    assert np.abs(picture("trace.png").astype(int) - picture("mesh.png")).mean() < 6
+
+
+def test_films_in_time_and_around(run, folder):
+    code, out, err = run("film", "moving.safetensors", "-o", "x.gif", "--frames", 3, "--size", 48, "--resolution", 16)
+    assert code == 0 and "3 frames of 48 x 48 pixels" in out, err
+    code, out, _ = run("film", "moving.safetensors", "-o", "x.mp4", "--times", "0:1:3", "--size", 48, "--turntable",
+                       90, "--bounce", "--resolution", 16, "--fps", 8, "--colour", "curvature")  # fmt: skip
+    assert code == 0 and "4 frames of 48 x 48 pixels, 0.5 s" in out
+    for shape in ("torus", "still.safetensors"):
+        code, out, _ = run("film", shape, "-o", "t.gif", "--turntable", 360, "--frames", 4, "--size", 64,
+                           "--colour", "curvature", "--resolution", 16)  # fmt: skip
+        assert code == 0 and "4 frames" in out
+    assert run("film", "moving.safetensors", "-o", "s.gif", "--time", 0.5, "--turntable", 90, "--frames", 2,
+               "--size", 32, "--colour", "normal", "--resolution", 16, "-q")[:2] == (0, "")  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (("render", "sphere", "-o", "x.pnx"), 2, "known formats are .png"),
+        (("render", "none.safetensors", "-o", "x.png"), 2, "there is no file"),
+        (("render", "moving.safetensors", "-o", "x.png"), 2, "from t = 0 to 1; say when with --time"),
+        (("render", "moving.safetensors", "--time", "3", "-o", "x.png"), 2, "solved for times from 0 to 1"),
+        (("render", "still.safetensors", "--time", "3", "-o", "x.png"), 2, "leave --time out"),
+        (("render", "sphere", "--time", "3", "-o", "x.png"), 2, "a shape has no time"),
+        (("render", "empty.safetensors", "-o", "x.png"), 1, "no surface is seen in the box"),
+        (("render", "empty.safetensors", "--by", "mesh", "-o", "x.png"), 1, "everywhere in the box"),
+        (("render", "cloud.xyz", "-o", "x.png"), 2, "a point cloud has no surface"),
+        (("render", "sphere", "--by", "magic", "-o", "x.png"), 2, "give trace or mesh"),
+        (("render", "sphere", "--by", "trace", "-o", "x.png"), 2, "this is a mesh"),
+        (("render", "sphere", "--colour", "blue", "-o", "x.png"), 2, "known are clay, normal, curvature"),
+        (("render", "sphere", "--size", "0", "-o", "x.png"), 2, "give pixels"),
+        (("render", "sphere", "--size", "1x2x3", "-o", "x.png"), 2, "give pixels"),
+        (("render", "sphere", "--elevation", "90", "-o", "x.png"), 2, "between -90 and 90"),
+        (("render", "sphere", "--up", "0,0,0", "-o", "x.png"), 2, "not all zero"),
+        (("render", "sphere", "-o", "none/x.png"), 2, "there is no folder"),
+        (("film", "moving.safetensors", "-o", "x.avi"), 2, "known formats are .mp4"),
+        (("film", "moving.safetensors", "-o", "x.gif", "--times", "0,2"), 2, "solved for times from 0 to 1"),
+        (("film", "still.safetensors", "-o", "x.gif", "--times", "0,1"), 2, "the surface stands still"),
+        (("film", "sphere", "-o", "x.gif"), 2, "turn it around with --turntable 360"),
+        (("film", "sphere", "-o", "x.gif", "--turntable", "9", "--frames", "0"), 2, "at least one frame"),
+        (("film", "empty.safetensors", "-o", "x.gif", "--turntable", "9"), 1, "has vanished"),
+        (("film", "sphere", "-o", "x.mp4", "--turntable", "9", "--fps", "0"), 2, "frames a second"),
+    ],
+    ids=lambda value: " ".join(value[:5]) if isinstance(value, tuple) else "",
+)  # fmt: skip
+def test_wrong_use_is_answered_in_a_sentence(run, unchecked, folder, arguments, code, message):
+    before = sorted(folder.iterdir())
+    got, out, err = run(*arguments)
+    assert got == code, err
+    assert message in err
+    assert "Traceback" not in out + err
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_missing_extra_is_named(run, folder, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    code, _, err = run("film", "sphere", "-o", "x.mp4", "--turntable", 360)
+    assert code == 1 and "pip install 'levelflow[film]'" in err and len(err.splitlines()) == 1

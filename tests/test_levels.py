@@ -32,7 +32,7 @@ LEVELS = (
     ("__main__",),
 )
 STEPS = {
-    "cli": (("names",), ("running", "taking", "viewing"), ("commands",), ("showing",)),
+    "cli": (("names",), ("running", "showing", "taking", "viewing"), ("commands",)),
     "equations": (("equation",), ("curvature", "eikonal", "morph", "stationary", "transport")),
     "export": (
         ("frames", "normal_motion", "printing"),

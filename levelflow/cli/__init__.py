@@ -7,10 +7,9 @@ import warnings
 
 import typer
 
-from levelflow.cli import showing
 from levelflow.cli.commands import app
 
-__all__ = ["app", "main", "showing"]
+__all__ = ["app", "main"]
 
 
 def main() -> None:

@@ -31,6 +31,7 @@ from levelflow.cli.running import (
     folder_for,
     training,
 )
+from levelflow.cli.showing import film, render
 from levelflow.cli.taking import export
 from levelflow.cli.viewing import view
 
@@ -377,6 +378,8 @@ def info(
 
 
 app.command()(export)
+app.command()(film)
+app.command()(render)
 app.command()(view)
 
 

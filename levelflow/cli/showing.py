@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from levelflow.cli.commands import Quiet, app
 from levelflow.cli.names import key_named, numbers_in, times_in
 
 if TYPE_CHECKING:
@@ -29,10 +28,10 @@ ColourBy = Annotated[str, typer.Option("--colour", "--color", help="clay, normal
 Azimuth = Annotated[float, typer.Option(help="Degrees around the upright axis; 90 looks at the side that faces +x.")]
 Elevation = Annotated[float, typer.Option(help="Degrees above the horizon.")]
 Up = Annotated[str, typer.Option(help="What points up: x, y, z, or x,y,z numbers.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but warnings and errors.")]
 Cells = Annotated[int, typer.Option("--resolution", help="Marching-cubes cells along the longest side.")]
 
 
-@app.command()
 def render(
     surface: Surface,
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .jpg, .webp, ...")],
@@ -44,7 +43,7 @@ def render(
     up: Up = "y",
     by: Annotated[
         str | None,
-        typer.Option(help="trace: rays meet the field itself; mesh: by marching cubes [default: trace for fields]."),
+        typer.Option(help="trace: rays meet the field itself; mesh: by marching cubes. Fields are traced by default."),
     ] = None,
     resolution: Cells = 160,
     quiet: Quiet = False,
@@ -86,12 +85,11 @@ def render(
         typer.echo(f"{output}: {shape[1]} x {shape[0]} pixels")
 
 
-@app.command()
 def film(
     surface: Surface,
     output: Annotated[Path, typer.Option("--output", "-o", help="The film to write: .mp4, .webm or .gif.")],
     times: Annotated[
-        str | None, typer.Option(help="first:last:number, 0:1:60, or 0,0.5,1 [default: all that the field has].")
+        str | None, typer.Option(help="first:last:number, 0:1:60, or 0,0.5,1; all of the field by default.")
     ] = None,
     time: Annotated[
         float | None, typer.Option("--time", help="A single time, to turn around what stands still.")

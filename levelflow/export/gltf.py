@@ -13,7 +13,8 @@ import numpy as np
 from levelflow._version import __version__
 from levelflow.export.scene import Scene, Up, kept, origin
 from levelflow.export.snapshots import Snapshot
-from levelflow.rendering.shading import Clay, linear
+from levelflow.rendering.colours import linear
+from levelflow.rendering.shading import Clay
 from levelflow.shapes.mesh import Mesh
 from levelflow.shapes.writing import replace_file
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from levelflow.export.scene import Scene, kept, origin
 from levelflow.export.snapshots import Snapshot
-from levelflow.rendering.shading import linear
+from levelflow.rendering.colours import linear
 from levelflow.shapes.writing import replace_file
 
 FORMATS = (".usd", ".usda", ".usdc")

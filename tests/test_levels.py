@@ -46,7 +46,7 @@ STEPS = {
         ("camera", "colours", "quantities"),
         ("hits",),
         ("rasterising", "tracing"),
-        ("shading",),
+        ("differentiable", "shading"),
         ("curves",),
         ("images",),
         ("film",),

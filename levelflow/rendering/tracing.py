@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from levelflow.boxes import Box
-from levelflow.curvature import gradient_norm
+from levelflow.curvature import normal
 from levelflow.extraction import EmptyLevelSet
 from levelflow.fields import Field
 from levelflow.jets import Jet
@@ -21,7 +21,7 @@ from levelflow.rendering.hits import Hits, towards_eye
 # How much steeper than measured a field may be: samples of a slope underestimate it between the samples.
 _SAFETY = 1.2
 _SLOPE_SAMPLES = 8192
-_POINTS_AT_ONCE = {"cpu": 1 << 12}
+_POINTS_AT_ONCE = {"cpu": 1 << 13}
 # The pictures whose hits foretell those of the next have at least this many pixels along the shorter side.
 _COARSE = 48
 # Pixels: the greatest slope of depth at which a coarser picture foretells a finer one, and how far before the surface
@@ -122,12 +122,16 @@ def framed(
 
 @dataclass(frozen=True)
 class _Level:
-    """A picture of pixels that are `factor` times as large: safe depths and hits, infinite where nothing is seen."""
+    """A picture of pixels that are `factor` times as large: safe depths and hits, infinite where nothing is seen.
+
+    Normals are NaN where they are not known yet.
+    """
 
     factor: int
     safe: np.ndarray
     depth: np.ndarray
     side: np.ndarray
+    normals: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -178,19 +182,20 @@ class _Tracer:
         pixels = np.flatnonzero(np.isfinite(level.depth).reshape(-1))
         rows, columns = np.divmod(pixels, self.width)
         rays = self._rays(columns + 0.5, rows + 0.5)
-        depth, jet_normals, behind = self._landed(rays, level.depth.reshape(-1)[pixels])
-        weights = np.ones(len(pixels))
-        points = rays.at(depth)
+        depth, normals = level.depth.reshape(-1)[pixels], level.normals.reshape(-1, 3)[pixels]
+        rough = np.flatnonzero(np.isnan(normals[:, 0]))
+        depth[rough], normals[rough] = self._landed(rays[rough], depth[rough])
+        weights, points, behind = np.ones(len(pixels)), rays.at(depth), (normals * rays.directions).sum(1) > 0
         if samples > 1:
-            edges = self._edges(pixels, depth, jet_normals)
+            edges = self._edges(pixels, depth, normals)
             inner = ~edges[pixels]
             more = self._samples(np.flatnonzero(edges), samples, coarser)
-            old = (pixels, weights, points, jet_normals, depth, behind)
-            pixels, weights, points, jet_normals, depth, behind = (
+            old = (pixels, weights, points, normals, depth, behind)
+            pixels, weights, points, normals, depth, behind = (
                 np.concatenate([a[inner], b]) for a, b in zip(old, more, strict=True)
             )
         towards = towards_eye(self.camera, points)
-        return Hits(self.height, self.width, pixels, weights, points, jet_normals, depth, towards, behind)
+        return Hits(self.height, self.width, pixels, weights, points, normals, depth, towards, behind)
 
     def _level(self, factor: int, coarser: _Level | None) -> _Level:
         """The picture with larger pixels: foretold by a coarser one where that is safe, else traced."""
@@ -198,21 +203,21 @@ class _Tracer:
         rows, columns = (index.reshape(-1) for index in np.indices(shape))
         rays = self._rays(factor * (columns + 0.5), factor * (rows + 0.5))
         safe, depth, side = np.full(len(rows), -np.inf), np.full(len(rows), np.inf), np.ones(len(rows))
-        todo = np.arange(len(rows))
+        normals, todo = np.full((len(rows), 3), np.nan), np.arange(len(rows))
         if coarser is not None:
             safe = coarser.safe[rows // 2, columns // 2]
             guess, from_side, known = _foretold(coarser, rows, columns, self.camera, self.pixel)
-            found, right = self._confirmed(rays[known], guess[known], from_side[known], factor)
-            side[known[right]], depth[known[right]] = from_side[known[right]], found[right]
-            open_ = np.isinf(depth) & np.isfinite(safe)
-            todo = np.flatnonzero(open_)
+            found, seen, right = self._confirmed(rays[known], guess[known], from_side[known], factor)
+            known = known[right]
+            side[known], depth[known], normals[known] = from_side[known], found[right], seen[right]
+            todo = np.flatnonzero(np.isinf(depth) & np.isfinite(safe))
         if factor > 1 or coarser is None:
             # Pixels that were foretold need cones as well, for the sake of the next picture.
             alive = np.flatnonzero(safe < np.inf)
             safe[alive] = self._cones(rays[alive], safe[alive], factor)
             todo = todo[np.isfinite(safe[todo])]
         depth[todo], side[todo] = self._marched(rays[todo], safe[todo], factor)
-        return _Level(factor, safe.reshape(shape), depth.reshape(shape), side.reshape(shape))
+        return _Level(factor, *(part.reshape(shape) for part in (safe, depth, side)), normals.reshape(*shape, 3))
 
     def _rays(self, columns: np.ndarray, rows: np.ndarray) -> _Rays:
         origins, directions = self.camera.rays(columns, rows, height=self.height, width=self.width)
@@ -304,26 +309,29 @@ class _Tracer:
 
     def _confirmed(
         self, rays: _Rays, guess: np.ndarray, side: np.ndarray, factor: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Guessed depths after one Newton step, and whether that step is small and its surface faces the right way."""
-        inside = (guess >= rays.first) & (guess <= rays.last)
-        jet = self._jets(rays.at(np.where(inside, guess, rays.first.clip(max=1e300))))
-        value, gradient = jet.value.numpy(), jet.gradient.numpy()
-        slope = (gradient * rays.directions).sum(1)
-        step = -value / np.where(slope * side < 0, slope, np.inf)
-        most = factor * self.pixel * (1.0 if self.camera.orthographic else guess)
-        return guess + step, inside & (slope * side < 0) & (np.abs(step) < most / 2)
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Guessed depths after one Newton step; the normals, NaN unless the step is tiny; and whether both are right.
 
-    def _landed(self, rays: _Rays, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Depths after a last Newton step, the normals, and whether the inside is seen."""
-        jet = self._jets(rays.at(depth))
-        value, gradient = jet.value.numpy(), jet.gradient.numpy()
-        slope = (gradient * rays.directions).sum(1)
-        step = -value / np.where(slope == 0, np.inf, slope)
+        They are if the step is small and the surface faces the right way.
+        """
+        inside = (guess >= rays.first) & (guess <= rays.last)
+        step, normals, slope = self._newton(rays, np.where(inside, guess, rays.first.clip(max=1e300)))
+        most = factor * self.pixel * (1.0 if self.camera.orthographic else guess)
+        normals[np.abs(step) > most / 50] = np.nan
+        return guess + step, normals, inside & (slope * side < 0) & (np.abs(step) < most / 2)
+
+    def _landed(self, rays: _Rays, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Depths after a last Newton step, and the normals."""
+        step, normals, _ = self._newton(rays, depth)
         most = self.pixel * (1.0 if self.camera.orthographic else depth)
         step = np.where(np.abs(step) < most / 2, step, 0.0)
-        normals = gradient / gradient_norm(jet).numpy()[:, None]
-        return np.clip(depth + step, rays.first, rays.last), normals, slope > 0
+        return np.clip(depth + step, rays.first, rays.last), normals
+
+    def _newton(self, rays: _Rays, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The step along each ray to where f is zero to first order; the normal and the slope along the ray."""
+        jet = self._jets(rays.at(depth))
+        slope = (jet.gradient.numpy() * rays.directions).sum(1)
+        return -jet.value.numpy() / np.where(slope == 0, np.inf, slope), normal(jet).numpy(), slope
 
     def _edges(self, pixels: np.ndarray, depth: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Whether a pixel and one of its four neighbours see different pieces of surface, (h * w,) booleans."""
@@ -353,7 +361,8 @@ class _Tracer:
         depth, _ = self._marched(rays, coarser.safe[rows // scale, columns // scale], 1)
         seen = np.isfinite(depth)
         rays = rays[seen]
-        depth, normals, behind = self._landed(rays, depth[seen])
+        depth, normals = self._landed(rays, depth[seen])
+        behind = (normals * rays.directions).sum(1) > 0
         weights = np.full(len(depth), 1 / samples**2)
         return owner[seen], weights, rays.at(depth), normals, depth, behind
 

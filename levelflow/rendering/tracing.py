@@ -217,7 +217,9 @@ class _Tracer:
             safe[alive] = self._cones(rays[alive], safe[alive], factor)
             todo = todo[np.isfinite(safe[todo])]
         depth[todo], side[todo] = self._marched(rays[todo], safe[todo], factor)
-        return _Level(factor, *(part.reshape(shape) for part in (safe, depth, side)), normals.reshape(*shape, 3))
+        return _Level(
+            factor, safe.reshape(shape), depth.reshape(shape), side.reshape(shape), normals.reshape(*shape, 3)
+        )
 
     def _rays(self, columns: np.ndarray, rows: np.ndarray) -> _Rays:
         origins, directions = self.camera.rays(columns, rows, height=self.height, width=self.width)

@@ -17,7 +17,7 @@ class SOAP(torch.optim.Optimizer):
     orthogonal iteration every `every` steps. Biases take plain Adam steps.
 
     On fields it reaches a surface error in fewer steps than Adam, for a small part of the cost of a step
-    (`benchmarks/optimisers.py`).
+    (`benchmarks/ablations.py`).
 
     Args:
         parameters: What is optimised.

@@ -79,6 +79,7 @@ def demo(
 ) -> None:
     """Smooth a dumbbell until it pinches, twist a block, and morph a torus: about a minute on two cores."""
     from levelflow.equations import MeanCurvature, Morph, Transport, Twist
+    from levelflow.rendering.film import film
     from levelflow.rendering.images import contact_sheet, stack
     from levelflow.saving import load
     from levelflow.shapes import Cuboid, Torus
@@ -109,9 +110,12 @@ def demo(
     stack(sheets, output / "demo.png")
     page = standalone(viewed, [i / 12 for i in range(13)], resolution=64)
     replace_file(output / "demo.html", page.encode())
+    last = viewed[-1].field
+    film(last, output / "demo.gif", times=[i / 16 for i in range(17)], size=320, resolution=64, bounce=True)
     if not quiet:
         typer.echo(f"{output / 'demo.png'}: three evolutions; their meshes, fields and reports are in {output}")
         typer.echo(f"{output / 'demo.html'}: the same in motion, a page to open in a browser")
+        typer.echo(f"{output / 'demo.gif'}: the last of them as a film")
 
 
 @app.command()

@@ -59,6 +59,11 @@ class Field(Map):
 
     box: Box | None = None
 
+    @property
+    def device(self) -> torch.device:
+        """The device of the parameters; the CPU if there are none."""
+        return next((parameter.device for parameter in self.parameters()), torch.device("cpu"))
+
     def jet(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"] | None = None, *, order: int = 1) -> Jet:
         """Value, first derivatives (order 1) and space Hessian (order 2) at n points, differentiable.
 
@@ -181,11 +186,6 @@ class Placed(Field):
     def dtype(self) -> torch.dtype:
         """The dtype of the parameters of the field inside, in which values are computed."""
         return next(self.field.parameters()).dtype
-
-    @property
-    def device(self) -> torch.device:
-        """The device of the parameters."""
-        return next(self.field.parameters()).device
 
     def push(self, jet: Jet) -> Jet:
         d, slopes, like = self.space, jet.value.new_tensor(self._slopes), next(self.field.parameters())

@@ -125,12 +125,6 @@ class Carried:
         with torch.no_grad():
             self.far_values = given.value(origins).to(self.values) / placed.box.frame.scale
 
-    @staticmethod
-    def is_known(equation: Equation, space: int) -> bool:
-        """Whether the motion has characteristics that do not depend on the surface."""
-        origin, now = torch.zeros(1, space, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
-        return equation.carry(origin, now, now) is not None
-
     def sample(self, generator: torch.Generator) -> Batch:
         near = 3 * self.n // 4
         i = torch.randint(len(self.values), (near,), generator=generator)

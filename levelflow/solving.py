@@ -105,7 +105,7 @@ def solve(
         now = tuple(field.unit_times(torch.tensor([[t]], dtype=torch.float64))[0].tolist())
         terms.append(OnSurface(field.field, samples, now, n=math.ceil(on / len(at))))
         terms.append(OffSurface(field.field, samples, now, n=math.ceil(off / len(at))))
-    if len(at) == 1 and Carried.is_known(equation, box.space):
+    if len(at) == 1 and equation.has_characteristics(box.space):
         ((t, samples),) = given.items()
         terms.append(Carried(field, equation, samples, t, n=n, generator=generator))
         terms.append(Motion(field, equation, n=max(1, n // 4)))

@@ -73,8 +73,7 @@ class Transported(Field):
             box = reach(motion, {time: surface_of(shape)}, interval).during(interval)
         if len(box.times) != 1:
             raise ValueError(f"Transported: the box has {len(box.times)} times; give one interval, box.during((0, 1)).")
-        origin, now = torch.zeros(1, box.space, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
-        if motion.carry(origin, now, now) is None:
+        if not motion.has_characteristics(box.space):
             raise ValueError(f"Transported: {motion!r} depends on the surface and has no characteristics; solve it.")
         self.motion, self.shape, self.time = motion, shape, time
         self.steps = steps or _enough_steps(motion, box, time)

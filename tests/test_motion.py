@@ -175,10 +175,10 @@ def test_values_are_carried_as_the_exact_solution_of_a_rotation_says(time: float
 
 def test_characteristics_are_known_for_velocities_and_not_for_curvature() -> None:
     for space in (2, 3):
-        assert Carried.is_known(Stationary(), space)
-        assert Carried.is_known(Transport((1.0,) * space), space)
-        assert not Carried.is_known(MeanCurvature(rate=1), space)
-        assert not Carried.is_known(Eikonal() + Transport((1.0,) * space), space)
+        assert Stationary().has_characteristics(space)
+        assert Transport((1.0,) * space).has_characteristics(space)
+        assert not MeanCurvature(rate=1).has_characteristics(space)
+        assert not (Eikonal() + Transport((1.0,) * space)).has_characteristics(space)
 
 
 def radius_at(t: Tensor, knots: dict[float, float]) -> Tensor:

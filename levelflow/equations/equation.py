@@ -49,6 +49,11 @@ class Equation(ABC):
         """
         return None
 
+    def has_characteristics(self, space: int) -> bool:
+        """Whether the motion alone decides where points go, in so many space coordinates."""
+        origin, now = torch.zeros(1, space, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
+        return self.carry(origin, now, now) is not None
+
     def __add__(self, other: Equation) -> Equation:
         return _together(self, other)
 

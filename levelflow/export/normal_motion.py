@@ -76,11 +76,10 @@ class Carried(NamedTuple):
 
 def slopes(field: Field, x: Points, t: float) -> Slopes:
     """Value, gradient and time derivative of a field of space and at most one time."""
-    device = next((parameter.device for parameter in field.parameters()), torch.device("cpu"))
     parts = []
     with torch.no_grad():
         for start in range(0, len(x), _POINTS_AT_ONCE):
-            points = torch.tensor(x[start : start + _POINTS_AT_ONCE], dtype=torch.float64, device=device)
+            points = torch.tensor(x[start : start + _POINTS_AT_ONCE], dtype=torch.float64, device=field.device)
             jet = field.jet(points, points.new_full((len(points), field.times), t), order=1)
             rate = jet.dt[:, 0] if field.times else torch.zeros_like(jet.value)
             parts.append([part.double().cpu().numpy() for part in (jet.value, jet.gradient, rate)])

@@ -94,12 +94,11 @@ def volumes(field: Field, times: Sequence[float] = (), *, resolution: int = 128)
 
 def values_at(field: Field, x: Float[np.ndarray, "n d"], t: float) -> Float[np.ndarray, " n"]:
     """f at points (n, d) and one time, in float64."""
-    device = next((parameter.device for parameter in field.parameters()), torch.device("cpu"))
     out = np.empty(len(x))
     with torch.no_grad():
         for start in range(0, len(x), _POINTS_AT_ONCE):
             rows = slice(start, start + _POINTS_AT_ONCE)
-            points = torch.tensor(x[rows], dtype=torch.float64, device=device)
+            points = torch.tensor(x[rows], dtype=torch.float64, device=field.device)
             out[rows] = field(points, points.new_full((len(points), field.times), t)).double().cpu().numpy()
     return out
 

@@ -169,7 +169,7 @@ class ViewedField(Viewed):
 
     def _on_surface(self, x: Points, time: tuple[float, ...]) -> list[np.ndarray]:
         """The normals, and the values of each quantity."""
-        device = _device(self.field)
+        device = self.field.device
         points = torch.tensor(x, dtype=torch.float64, device=device)
         t = points.new_tensor(time).expand(len(points), -1)
         with torch.no_grad():
@@ -220,7 +220,7 @@ class _Pausing:
 
     def __init__(self, field: Field, box: Box, pause: Callable[[], None]) -> None:
         self.field, self.box, self.pause = field, box, pause
-        self.device = _device(field)
+        self.device = field.device
 
     def __call__(self, x: Tensor) -> Tensor:
         parts = []
@@ -267,7 +267,3 @@ def _with_creases(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"]]:
     faces[crease] = np.arange(number, len(vertex))
     own = np.broadcast_to(mesh.face_normals[:, None], (*faces.shape, normals.shape[1]))[crease]
     return Mesh(mesh.vertices[vertex], faces, normals=np.concatenate([normals, own])), vertex
-
-
-def _device(field: Field) -> torch.device:
-    return next((parameter.device for parameter in field.parameters()), torch.device("cpu"))

@@ -6,26 +6,9 @@ import numpy as np
 import pytest
 
 from levelflow import SIREN, Box, Placed, save
-from levelflow.cli import main
 from levelflow.networks.lifting import lift
 
 pytestmark = pytest.mark.filterwarnings("default")
-
-
-@pytest.fixture
-def run(capsys, monkeypatch):
-    """Runs a command in this process; returns exit code, standard output and standard error."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["levelflow", *map(str, arguments)])
-        try:
-            main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code or 0
-        return (code, *capsys.readouterr())
-
-    return call
 
 
 @pytest.fixture

@@ -33,7 +33,7 @@ LEVELS = (
 )
 STEPS = {
     "cli": (("names",), ("running", "showing", "taking", "viewing"), ("commands",)),
-    "equations": (("equation",), ("curvature", "eikonal", "morph", "stationary", "transport")),
+    "equations": (("equation",), ("curvature", "eikonal", "morph", "stationary", "transport"), ("described",)),
     "export": (
         ("frames", "normal_motion", "printing"),
         ("snapshots",),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +11,8 @@ import typer
 from levelflow.cli.names import key_named, numbers_in, times_in
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
 
     from levelflow.fields import Field
@@ -18,13 +21,16 @@ if TYPE_CHECKING:
     from levelflow.shapes import Mesh
 
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-_COLOURS = ("clay", "normal", "curvature")
+_COLOURS = ("clay", "normal", "curvature", "residual")
+_PLAIN = ("clay", "normal")
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
 Surface = Annotated[str, typer.Argument(metavar="FIELD|MESH", help="A field (.safetensors), a mesh, or a built-in.")]
 Time = Annotated[float | None, typer.Option("--time", help="When, for a field that moves.")]
 Size = Annotated[str, typer.Option(help="Pixels, 512, or width x height, 1280x720.")]
-ColourBy = Annotated[str, typer.Option("--colour", "--color", help="clay, normal or curvature (k1 + k2).")]
+ColourBy = Annotated[
+    str, typer.Option("--colour", "--color", help="clay, normal, curvature (k1 + k2), residual (error of the speed).")
+]
 Azimuth = Annotated[float, typer.Option(help="Degrees around the upright axis; 90 looks at the side that faces +x.")]
 Elevation = Annotated[float, typer.Option(help="Degrees above the horizon.")]
 Up = Annotated[str, typer.Option(help="What points up: x, y, z, or x,y,z numbers.")]
@@ -52,7 +58,6 @@ def render(
     from levelflow.fields import Field
     from levelflow.rendering.camera import Camera
     from levelflow.rendering.images import image, write
-    from levelflow.rendering.quantities import Curvature, mesh_curvature
     from levelflow.rendering.shading import Clay, Normals
     from levelflow.rendering.tracing import framed
 
@@ -62,20 +67,15 @@ def render(
         raise ValueError(f"render --by {by}: give trace or mesh.")
     _require_colour("render", colour)
     shape, where = _size_in(size), {"azimuth": azimuth, "elevation": _elevation(elevation), "up": _up_named(up)}
-    shown = _surface_named("render", surface, time)
-    values: Quantity | np.ndarray | None = None
-    if isinstance(shown, Field):
-        if shown.times:
-            first, last = shown.box.times[0]  # type: ignore[union-attr]
-            raise ValueError(f"render {surface}: the field moves from t = {first:g} to {last:g}; say when with --time.")
-        field = shown
-        drawn = _mesh_of(field, resolution) if by == "mesh" or field.space == 2 else field
-        values = Curvature(field) if colour == "curvature" else None
-    elif by == "trace":
+    shown = _surface_named("render", surface)
+    if isinstance(shown, Field) and shown.times and time is None:
+        first, last = shown.box.times[0]  # type: ignore[union-attr]
+        raise ValueError(f"render {surface}: the field moves from t = {first:g} to {last:g}; say when with --time.")
+    now = _at("render", surface, shown, time)
+    if by == "trace" and not isinstance(now, Field):
         raise ValueError(f"render {surface} --by trace: this is a mesh; fit a field first, or leave --by out.")
-    else:
-        drawn = shown
-        values = mesh_curvature(shown) if colour == "curvature" else None
+    drawn = _mesh_of(now, resolution) if isinstance(now, Field) and (by == "mesh" or now.space == 2) else now
+    values = _values("render", surface, colour, shown, time)
     camera = (
         framed(drawn, **where) if isinstance(drawn, Field) else Camera.around(drawn.vertices, **where)  # type: ignore[arg-type]
     )
@@ -112,26 +112,24 @@ def film(
     """Make a film of a surface: in time, turned around, or both."""
     from levelflow.fields import Field
     from levelflow.rendering.film import film as make_film
-    from levelflow.rendering.quantities import Curvature, mesh_curvature
     from levelflow.rendering.shading import Clay, Normals
 
     _require_colour("film", colour)
     shape, vertical = _size_in(size), _up_named(up)
-    shown = _surface_named("film", surface, time)
+    whole = _surface_named("film", surface)
+    shown = _at("film", surface, whole, time)
     asked: list[float] = []
+    values: Quantity | np.ndarray | Callable[[float], Quantity] | None
     if isinstance(shown, Field) and shown.times:
         first, last = shown.box.times[0]  # type: ignore[union-attr]
+        values = None if colour in _PLAIN else partial(_quantity, "film", surface, colour, shown)
         asked = times_in(times or f"{first!r}:{last!r}:{frames}")
     elif times is not None:
         raise ValueError(f"film {surface} --times {times}: the surface stands still; leave --times out, or --time.")
     elif not turntable:
         raise ValueError(f"film {surface}: the surface stands still; turn it around with --turntable 360.")
-    values = None
-    if colour == "curvature" and isinstance(shown, Field):
-        field = shown
-        values = (lambda t: Curvature(field.at(t))) if field.times else Curvature(field)
-    elif colour == "curvature":
-        values = mesh_curvature(shown)  # type: ignore[arg-type, assignment]
+    else:
+        values = _values("film", surface, colour, whole, time)
     count = make_film(
         shown, output, times=asked, turn=turntable, frames=frames, azimuth=azimuth, elevation=_elevation(elevation),
         up=vertical, size=shape, material=Normals() if colour == "normal" else Clay(), values=values, rate=fps,
@@ -141,8 +139,8 @@ def film(
         typer.echo(f"{output}: {count} frames of {shape[1]} x {shape[0]} pixels, {count / fps:.3g} s")
 
 
-def _surface_named(call: str, text: str, time: float | None) -> Field | Mesh:
-    """A field, at a time if one is given, or a mesh."""
+def _surface_named(call: str, text: str) -> Field | Mesh:
+    """A field or a mesh."""
     from levelflow.fields import Field
     from levelflow.shapes import Mesh, Solid
 
@@ -153,15 +151,7 @@ def _surface_named(call: str, text: str, time: float | None) -> Field | Mesh:
         shown = load(text)
     else:
         shown = key_named(text)
-    if isinstance(shown, Field):
-        if time is None:
-            return shown
-        if not shown.times:
-            raise ValueError(f"{call} {text} --time {time:g}: the field does not depend on time; leave --time out.")
-        return shown.at(time)
-    if time is not None:
-        raise ValueError(f"{call} {text} --time {time:g}: a shape has no time; leave --time out.")
-    if isinstance(shown, Mesh):
+    if isinstance(shown, Field | Mesh):
         return shown
     if isinstance(shown, Solid):
         from levelflow.extraction import extract
@@ -170,6 +160,51 @@ def _surface_named(call: str, text: str, time: float | None) -> Field | Mesh:
     raise ValueError(
         f"{call} {text}: a point cloud has no surface to be seen; fit a field first: levelflow fit {text} -o ..."
     )
+
+
+def _at(call: str, text: str, shown: Field | Mesh, time: float | None) -> Field | Mesh:
+    """The surface at a time, if one is given."""
+    from levelflow.fields import Field
+
+    if time is None:
+        return shown
+    if not isinstance(shown, Field):
+        raise ValueError(f"{call} {text} --time {time:g}: a shape has no time; leave --time out.")
+    if not shown.times:
+        raise ValueError(f"{call} {text} --time {time:g}: the field does not depend on time; leave --time out.")
+    return shown.at(time)
+
+
+def _values(call: str, text: str, colour: str, shown: Field | Mesh, time: float | None) -> Quantity | np.ndarray | None:
+    """The numbers that colours stand for, at a time if the surface moves; none if there are none."""
+    from levelflow.fields import Field
+    from levelflow.rendering.quantities import mesh_curvature
+
+    if colour in _PLAIN:
+        return None
+    if isinstance(shown, Field):
+        return _quantity(call, text, colour, shown, time)
+    if colour == "residual":
+        raise ValueError(f"{call} {text} --colour residual: a mesh solves no equation; give a field that moves.")
+    return mesh_curvature(shown)
+
+
+def _quantity(call: str, text: str, colour: str, field: Field, time: float | None) -> Quantity:
+    """What of a field is shown by colours."""
+    from levelflow.equations.described import equation_of
+    from levelflow.rendering.quantities import Curvature, Residual
+
+    if colour == "curvature":
+        return Curvature(field if time is None else field.at(time))
+    provenance = getattr(field, "provenance", {})
+    equation = equation_of(provenance)
+    if equation is None or time is None:
+        known = provenance.get("equation", "none")
+        raise ValueError(
+            f"{call} {text} --colour residual: the equation of this field, {known}, cannot be told from its file; "
+            "it must consist of numbers, as mean curvature does. In Python: Residual(field, equation, (t,))."
+        )
+    return Residual(field, equation, (time,))
 
 
 def _mesh_of(field: Field, resolution: int) -> Mesh:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 import torch
@@ -15,12 +14,13 @@ from torch import Tensor
 
 from levelflow.boxes import Box
 from levelflow.curvature import gradient_norm, total_curvature
-from levelflow.equations.curvature import MeanCurvature
+from levelflow.equations.described import equation_of
 from levelflow.equations.equation import LevelSetEquation
 from levelflow.export.snapshots import Snapshot, on_surface
 from levelflow.extraction import EmptyLevelSet, extract
 from levelflow.fields import Field
 from levelflow.jets import Jet
+from levelflow.rendering.quantities import mesh_curvature
 from levelflow.shapes.mesh import Mesh
 
 Points = Float[np.ndarray, "n d"]
@@ -31,8 +31,6 @@ _POINTS_AT_ONCE = 1 << 14
 _JETS_AT_ONCE = 1 << 11
 # The cosine between the normals of a face and of its vertex below which there is an edge to be seen.
 _CREASE = 0.75
-# Only numbers are read from a description: nothing in a file is executed.
-_MEAN_CURVATURE = re.compile(r"MeanCurvature\(rate=([0-9]+\.?[0-9]*(?:[eE][+-]?[0-9]+)?)\)")
 
 
 class Quantity(NamedTuple):
@@ -119,8 +117,7 @@ class ViewedField(Viewed):
     Args:
         field: A field with a box.
         name: What the page calls it.
-        equation: The motion that it was solved for; by default that of its provenance, where it is motion by mean
-            curvature.
+        equation: The motion that it was solved for; by default that of its provenance, where it is made of numbers.
 
     Raises:
         ValueError: If the field has no box.
@@ -130,10 +127,11 @@ class ViewedField(Viewed):
         if field.box is None:
             raise ValueError(f"ViewedField({name!r}): the field has no box; give one that is Placed.")
         self.field, self.name, self.box = field, name, field.box
-        self.equation = equation if equation is not None else equation_of(getattr(field, "provenance", {}))
+        known = equation if equation is not None else equation_of(getattr(field, "provenance", {}))
+        self.equation = known if isinstance(known, LevelSetEquation) else None
         moving = (SPEED,) if field.times == 1 else ()
-        known = (RESIDUAL,) if field.times == 1 and self.equation is not None else ()
-        self.quantities = (CURVATURE, *moving, *known)
+        solved = (RESIDUAL,) if field.times == 1 and self.equation is not None else ()
+        self.quantities = (CURVATURE, *moving, *solved)
 
     def surface(self, time: Sequence[float], *, resolution: int, pause: Callable[[], None] = lambda: None) -> Surface:
         time = tuple(time)
@@ -200,7 +198,7 @@ class ViewedMesh(Viewed):
         """The mesh itself, whatever the resolution, but for vertices at its edges: these are there for each side."""
         self._check(time)
         mesh, vertex = _with_creases(self.mesh)
-        return Surface((), mesh, {CURVATURE.name: curvature_of(self.mesh)[vertex]} if self.quantities else {})
+        return Surface((), mesh, {CURVATURE.name: mesh_curvature(self.mesh)[vertex]} if self.quantities else {})
 
     def values(self, x: Points, time: Sequence[float]) -> Scalars:
         self._check(time)
@@ -228,34 +226,6 @@ class _Pausing:
             self.pause()
             parts.append(self.field(part))
         return torch.cat(parts)
-
-
-def equation_of(provenance: Mapping[str, Any]) -> LevelSetEquation | None:
-    """The motion that a field was solved for, where it is `MeanCurvature(rate=...)`; None for any other."""
-    found = _MEAN_CURVATURE.fullmatch(str(provenance.get("equation", "")))
-    return MeanCurvature(float(found[1])) if found and float(found[1]) > 0 else None
-
-
-def curvature_of(mesh: Mesh) -> Scalars:
-    r"""$k_1 + k_2$ at the vertices of a triangle mesh, from $\Delta x = -(k_1 + k_2)\, n$ with cotangent weights.
-
-    Each vertex stands for a third of the area of its triangles. Zero at the rim of an open mesh.
-
-    Reference:
-        Meyer et al., Discrete Differential-Geometry Operators for Triangulated 2-Manifolds, 2003, eq. 8.
-    """
-    import igl
-
-    faces, vertices = mesh.faces, np.array(mesh.vertices)
-    laplacian = igl.cotmatrix(vertices, np.array(faces)) @ vertices
-    area = np.zeros(len(vertices))
-    np.add.at(area, faces.reshape(-1), np.repeat(mesh.face_areas / 3, 3))
-    flow = (laplacian * mesh.vertex_normals).sum(1)
-    kappa = np.divide(-flow, area, out=np.zeros_like(flow), where=area > 0)
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    pairs, counts = np.unique(edges, axis=0, return_counts=True)
-    kappa[pairs[counts == 1]] = 0
-    return np.nan_to_num(kappa, posinf=0.0, neginf=0.0)
 
 
 def _with_creases(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"]]:

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from levelflow import SIREN, Box, Placed, save
+from levelflow import SIREN, Box, Placed, equations, save
 from levelflow.networks.lifting import lift
 
 pytestmark = pytest.mark.filterwarnings("default")
@@ -17,7 +17,11 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     box, network = Box((-1, -1, -1), (1, 1, 1)), SIREN(width=16, depth=1)
     network.last.bias.data -= network(Box((0, 0, 0), (0, 0, 0)).uniform(1, generator=_generator()).float()).detach()
-    save(Placed(lift(network), box.during((0.0, 1.0))), "moving.safetensors")
+    moving = Placed(lift(network), box.during((0.0, 1.0)))
+    moving.provenance["equation"] = repr(equations.MeanCurvature(0.1))
+    save(moving, "moving.safetensors")
+    moving.provenance["equation"] = "Morph(towards 1 target(s) at t = 1)"
+    save(moving, "morph.safetensors")
     save(Placed(network, box), "still.safetensors")
     network.last.bias.data += 100
     save(Placed(network, box), "empty.safetensors")
@@ -48,7 +52,11 @@ def test_pictures_of_fields_meshes_and_built_ins(run, folder):
     for colour in ("clay", "normal", "curvature"):
         assert run("render", "sphere", "-o", f"{colour}.png", "--size", 64, "--colour", colour)[0] == 0
     assert run("render", "still.safetensors", "-o", "k.png", "--size", 64, "--colour", "curvature")[0] == 0
+    assert (
+        run("render", "moving.safetensors", "--time", 0.5, "-o", "r.png", "--size", 64, "--colour", "residual")[0] == 0
+    )
     assert not np.array_equal(picture("clay.png"), picture("normal.png"))
+    assert not np.array_equal(picture("k.png"), picture("r.png"))
 
 
 def test_a_traced_picture_agrees_with_that_of_the_mesh(run, folder):
@@ -63,6 +71,9 @@ def test_films_in_time_and_around(run, folder):
     code, out, _ = run("film", "moving.safetensors", "-o", "x.mp4", "--times", "0:1:3", "--size", 48, "--turntable",
                        90, "--bounce", "--resolution", 16, "--fps", 8, "--colour", "curvature")  # fmt: skip
     assert code == 0 and "4 frames of 48 x 48 pixels, 0.5 s" in out
+    code, _, err = run("film", "moving.safetensors", "-o", "r.gif", "--frames", 2, "--size", 64, "--resolution", 16,
+                       "--colour", "residual")  # fmt: skip
+    assert code == 0, err
     for shape in ("torus", "still.safetensors"):
         code, out, _ = run("film", shape, "-o", "t.gif", "--turntable", 360, "--frames", 4, "--size", 64,
                            "--colour", "curvature", "--resolution", 16)  # fmt: skip
@@ -86,6 +97,9 @@ def test_films_in_time_and_around(run, folder):
         (("render", "sphere", "--by", "magic", "-o", "x.png"), 2, "give trace or mesh"),
         (("render", "sphere", "--by", "trace", "-o", "x.png"), 2, "this is a mesh"),
         (("render", "sphere", "--colour", "blue", "-o", "x.png"), 2, "known are clay, normal, curvature"),
+        (("render", "sphere", "--colour", "residual", "-o", "x.png"), 2, "a mesh solves no equation"),
+        (("render", "still.safetensors", "--colour", "residual", "-o", "x.png"), 2, "this field, none, cannot be told"),
+        (("film", "morph.safetensors", "--colour", "residual", "-o", "x.gif"), 2, "at t = 1), cannot be told"),
         (("render", "sphere", "--size", "0", "-o", "x.png"), 2, "give pixels"),
         (("render", "sphere", "--size", "1x2x3", "-o", "x.png"), 2, "give pixels"),
         (("render", "sphere", "--elevation", "90", "-o", "x.png"), 2, "between -90 and 90"),

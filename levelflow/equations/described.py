@@ -1,0 +1,47 @@
+"""The equation that a field was solved for, from the text of its provenance: numbers are read, code is not run."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from typing import Any
+
+from levelflow.equations.curvature import MeanCurvature
+from levelflow.equations.eikonal import Eikonal
+from levelflow.equations.equation import Equation
+from levelflow.equations.stationary import Stationary
+from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist
+
+_KNOWN: Mapping[str, Any] = {
+    kind.__name__: kind
+    for kind in (Constant, Eikonal, MeanCurvature, Rotation, Source, Stationary, SumOfVelocities, Transport, Twist)
+}
+
+
+def equation_of(provenance: Mapping[str, Any]) -> Equation | None:
+    """The equation in `provenance["equation"]`, the `repr` of one whose parts are all numbers.
+
+    None where there is none, or where it has parts that no text can hold: the targets of a morph, a function of one's
+    own.
+    """
+    try:
+        found = _value(ast.parse(str(provenance.get("equation", "")), mode="eval").body)
+    except (SyntaxError, TypeError, ValueError, RecursionError):
+        return None
+    return found if isinstance(found, Equation) else None
+
+
+def _value(node: ast.expr) -> Any:
+    """Numbers, tuples, and sums and calls of what is known.
+
+    Raises:
+        ValueError: If it is anything else.
+    """
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
+        return _value(node.left) + _value(node.right)
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in _KNOWN:
+        given = {keyword.arg or "": _value(keyword.value) for keyword in node.keywords}
+        return _KNOWN[node.func.id](*map(_value, node.args), **given)
+    if isinstance(node, ast.Tuple):
+        return tuple(map(_value, node.elts))
+    return ast.literal_eval(node)

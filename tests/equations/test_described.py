@@ -1,0 +1,45 @@
+import pytest
+
+from levelflow import Sphere
+from levelflow.equations import Constant, Eikonal, MeanCurvature, Morph, Rotation, Source, Stationary, Transport, Twist
+from levelflow.equations.described import equation_of
+
+TURN, PUSH = Rotation(-1.5, center=(0.0, 1e-3, 2.0)), Constant((1.0, -2.0, 0.5))
+
+
+@pytest.mark.parametrize(
+    "equation",
+    [
+        MeanCurvature(1.5e-5),
+        Stationary(),
+        Transport(TURN),
+        Transport(Source((0.0, 0.0, 0.0), -1.0, 0.2) + Twist(2.0)),
+        MeanCurvature(0.1) + Transport(PUSH) + Eikonal(),
+    ],
+)
+def test_an_equation_of_numbers_is_told_by_its_text(equation):
+    assert repr(equation_of({"equation": repr(equation)})) == repr(equation)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "MeanCurvature(rate=0)",
+        "MeanCurvature(rate=__import__('os'))",
+        "MeanCurvature(speed=1)",
+        "MeanCurvature(rate=0.01) + Transport(velocity=V)",
+        "Transport(open('x', 'w'))",
+        "1 + 2",
+        "MeanCurvature(rate=",
+        "(" * 5000,
+        repr(Morph(Sphere(1.0))),
+        repr(Transport(lambda x, t: x)),
+    ],
+)
+def test_any_other_text_tells_none(text):
+    assert equation_of({"equation": text}) is None
+
+
+def test_no_text_tells_none():
+    assert equation_of({}) is None

@@ -15,6 +15,7 @@ _HOMES = {
     "Box": "boxes",
     "Budget": "minimising",
     "Bar": "progress",
+    "Camera": "rendering",
     "Capsule": "shapes",
     "Checkpoint": "saving",
     "Circle": "shapes",
@@ -42,20 +43,22 @@ _HOMES = {
     "Torus": "shapes",
     "Translated": "shapes",
     "Transported": "transported",
-    "contact_sheet": "rendering.images",
+    "contact_sheet": "rendering",
     "extract": "extraction",
+    "film": "rendering",
     "fit": "fitting",
+    "image": "rendering",
     "lift": "networks.lifting",
     "load": "saving",
     "save": "saving",
     "solve": "solving",
 }
-_MODULES = ("curvature", "equations", "fields", "jets", "measures", "shapes")
+_MODULES = ("curvature", "equations", "export", "fields", "jets", "measures", "rendering", "shapes")
 
 __all__ = ["__version__", *_HOMES, *_MODULES]
 
 if TYPE_CHECKING:
-    from levelflow import curvature, equations, fields, jets, measures, shapes
+    from levelflow import curvature, equations, export, fields, jets, measures, rendering, shapes
     from levelflow.boxes import Box, Frame
     from levelflow.conditions import Sampling
     from levelflow.extraction import EmptyLevelSet, extract
@@ -66,7 +69,7 @@ if TYPE_CHECKING:
     from levelflow.networks.lifting import lift
     from levelflow.networks.siren import SIREN
     from levelflow.progress import Bar
-    from levelflow.rendering.images import contact_sheet
+    from levelflow.rendering import Camera, contact_sheet, film, image
     from levelflow.saving import Checkpoint, load, save
     from levelflow.shapes import (
         Capsule,

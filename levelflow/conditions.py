@@ -23,6 +23,10 @@ BAND = 0.25
 """How far from the surface a distance is asked for, in normalised units. Farther out only the sign and this bound are,
 so that no network capacity goes into the kinks of a distance on the medial axis."""
 
+NARROW = 0.03
+"""The band for motions by curvature. They do the same to every field with the given zero set, and a kink on the medial
+axis is gone at once: its value moves like the root of the time, which no network follows."""
+
 MARGIN = 0.125
 """How far a box reaches beyond what is in it, as a part of its longest side: the surface then fills [-0.8, 0.8]."""
 
@@ -145,13 +149,15 @@ class OnSurface:
 
 
 class OffSurface:
-    """Off the surface f = d within the band, and |f| at least the band, with the right sign, beyond it."""
+    """Off the surface f = d within the band, and beyond it the right sign and a least size (`band_error`)."""
 
     name = "distance"
     weight = 1.0
 
-    def __init__(self, field: Field, given: Given, times: tuple[float, ...], *, n: int) -> None:
-        self.field, self.given, self.times, self.n = field, given, times, n
+    def __init__(
+        self, field: Field, given: Given, times: tuple[float, ...], *, n: int, band: float = BAND
+    ) -> None:
+        self.field, self.given, self.times, self.n, self.band = field, given, times, n, band
 
     def sample(self, generator: torch.Generator) -> Batch:
         far = self.n // 4
@@ -163,13 +169,14 @@ class OffSurface:
 
     def loss(self, *batch: Tensor) -> Tensor:
         x, values = batch
-        return band_error(self.field(x, x.new_tensor(self.times).expand(len(x), -1)), values) ** 2
+        return band_error(self.field(x, x.new_tensor(self.times).expand(len(x), -1)), values, self.band) ** 2
 
 
-def band_error(f: Float[Tensor, " n"], values: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
-    """f - d within the band; beyond it, by how much |f| falls short of the band on the right side."""
-    error = f - values.clamp(-BAND, BAND)
-    return torch.where(values.abs() > BAND, (error * -values.sign()).clamp_min(0), error)
+def band_error(f: Float[Tensor, " n"], values: Float[Tensor, " n"], band: float = BAND) -> Float[Tensor, " n"]:
+    """f - d within the band; beyond it, by how much |f| falls short, on the right side, of the band and of |d| / 2."""
+    side, size = values.sign(), values.abs()
+    least = (size / 2).clamp(band, BAND)
+    return torch.where(size > band, (least - f * side).clamp_min(0), f - values)
 
 
 def pick(n: int, *tensors: Tensor, generator: torch.Generator) -> Batch:

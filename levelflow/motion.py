@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from levelflow.conditions import Given, band_error, pick
+from levelflow.conditions import BAND, Given, band_error, pick
 from levelflow.curvature import gradient_norm, total_curvature
 from levelflow.equations.equation import Equation
 from levelflow.fields import Placed
@@ -176,9 +176,16 @@ class Blend:
     weight = 1.0
 
     def __init__(
-        self, placed: Placed, given: Sequence[Given], times: Sequence[float], *, n: int, until: float = 1.0
+        self,
+        placed: Placed,
+        given: Sequence[Given],
+        times: Sequence[float],
+        *,
+        n: int,
+        until: float = 1.0,
+        band: float = BAND,
     ) -> None:
-        self.placed, self.n, self.until = placed, n, until
+        self.placed, self.n, self.until, self.band = placed, n, until, band
         scale, frame = placed.box.frame.scale, placed.box.frame
         self.points = torch.cat([part for g in given for part in (g.near, g.far)])
         own = [torch.cat([g.near_values, g.far_values]) for g in given]
@@ -211,4 +218,4 @@ class Blend:
 
     def loss(self, *batch: Tensor) -> Tensor:
         u, tau, values = batch
-        return band_error(self.placed.field(u, tau), values) ** 2
+        return band_error(self.placed.field(u, tau), values, self.band) ** 2

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from levelflow.boxes import Box
-from levelflow.conditions import Given, Key, OffSurface, OnSurface, Sampling, surface_of
+from levelflow.conditions import BAND, NARROW, Given, Key, OffSurface, OnSurface, Sampling, surface_of
 from levelflow.equations.equation import Equation
 from levelflow.fields import Placed
 from levelflow.measures import accuracy
@@ -100,11 +100,12 @@ def solve(
     like = next(field.parameters())
     given = {t: Given.of(key, box, n=sampling.given, generator=generator, like=like) for t, key in at.items()}
     n, on, off = sampling.counts()
+    band = NARROW if equation.order > 1 else BAND
     terms: list[Term] = []
     for t, samples in given.items():
         now = tuple(field.unit_times(torch.tensor([[t]], dtype=torch.float64))[0].tolist())
         terms.append(OnSurface(field.field, samples, now, n=math.ceil(on / len(at))))
-        terms.append(OffSurface(field.field, samples, now, n=math.ceil(off / len(at))))
+        terms.append(OffSurface(field.field, samples, now, n=math.ceil(off / len(at)), band=band))
     if len(at) == 1 and equation.has_characteristics(box.space):
         ((t, samples),) = given.items()
         terms.append(Carried(field, equation, samples, t, n=n, generator=generator))
@@ -112,7 +113,7 @@ def solve(
     else:
         warm_up = 0.0 if start is not None else warm_up
         if warm_up:
-            terms.append(Blend(field, list(given.values()), list(given), n=n, until=warm_up))
+            terms.append(Blend(field, list(given.values()), list(given), n=n, until=warm_up, band=band))
         terms.append(Motion(field, equation, n=n, since=warm_up))
     try:
         progress = minimise(field.parameters(), terms, budget=budget, generator=generator, on_step=on_step, state=state)

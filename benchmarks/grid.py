@@ -27,13 +27,13 @@ from scipy.ndimage import distance_transform_edt, spline_filter
 from torch import Tensor
 
 from levelflow import Box, Field
+from levelflow.boxes import interval
 from levelflow.conditions import Key, surface_of
 from levelflow.equations import Equation, LevelSetEquation, MeanCurvature, Stationary, Transport
 from levelflow.equations.equation import Motions
 from levelflow.jets import Jet
 from levelflow.shapes import Solid
 from levelflow.shapes.implicit import value_of
-from levelflow.solving import _interval
 from levelflow.transported import reach
 
 GHOST = 4
@@ -190,17 +190,17 @@ def solve(
         raise TypeError(
             f"grid.solve: {equation!r} is no sum of motions by curvature, velocities and speeds of order 1."
         )
-    interval = _interval(at, until)
+    ends = interval(at, until, call="solve")
     surfaces = {t: surface_of(key) for t, key in at.items()}
     start = min(at)
     if not isinstance(at[start], Solid | Field):
         raise TypeError(f"grid.solve: {at[start]!r} has no values to put on a grid; give a solid or a field.")
-    box = (box or reach(equation, surfaces, interval)).during(interval)
+    box = (box or reach(equation, surfaces, ends)).during(ends)
     grid = Grid(box, resolution)
     with torch.no_grad():
         points = grid.points(torch.arange(math.prod(grid.counts)))
         values = torch.cat([value_of(at[start])(x) for x in points.split(1 << 18)]).to(dtype)
-        moments = sorted({start, *torch.linspace(*interval, SNAPSHOTS + 1, dtype=torch.float64).tolist()})
+        moments = sorted({start, *torch.linspace(*ends, SNAPSHOTS + 1, dtype=torch.float64).tolist()})
         state = State(grid, motions, values)
         snapshots = {start: values}
         for times in ([t for t in moments if t > start], [t for t in reversed(moments) if t < start]):

@@ -35,6 +35,7 @@ from torch import Tensor
 
 import levelflow
 from levelflow import SIREN, Box, Budget, Cuboid, Field, Mesh, Placed, Sampling, Sphere
+from levelflow.boxes import interval
 from levelflow.conditions import Given, Key, pick, surface_of
 from levelflow.equations import Equation, LevelSetEquation, MeanCurvature, Morph, Rotation, Transport
 from levelflow.equations.equation import Motions
@@ -43,7 +44,6 @@ from levelflow.measures import accuracy
 from levelflow.networks.lifting import lift
 from levelflow.shapes.implicit import NoSurface
 from levelflow.shapes.shape import Solid
-from levelflow.solving import _interval
 from levelflow.suite import _mean_distance, _radii
 from levelflow.transported import reach
 
@@ -104,9 +104,9 @@ def solve(
     if not all(isinstance(m, LevelSetEquation) and (m.order < 2 or isinstance(m, MeanCurvature)) for m in motions):
         raise TypeError(f"recipe.solve: {equation!r} is no sum of motions by curvature, velocities, speeds of order 1.")
     clock = Clock(budget)
-    interval = _interval(at, until)
+    ends = interval(at, until, call="solve")
     surfaces = {t: surface_of(key) for t, key in at.items()}
-    box = (box or reach(equation, surfaces, interval)).during(interval)
+    box = (box or reach(equation, surfaces, ends)).during(ends)
     generator = torch.Generator().manual_seed(seed)
     like = network.last.weight
     given = {t: Given.of(key, box, n=sampling.given, generator=generator, like=like) for t, key in at.items()}

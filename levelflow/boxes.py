@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -132,3 +133,23 @@ class Box:
         u = torch.rand(n, len(self.times), generator=generator, dtype=dtype, device=generator.device)
         first = u.new_tensor([a for a, _ in self.times])
         return first + u * u.new_tensor([b - a for a, b in self.times])
+
+
+def interval(given: Iterable[float], until: float | Sequence[float] | None, *, call: str) -> tuple[float, float]:
+    """The times from the first to the last of those given and asked for.
+
+    Args:
+        given: Times at which something is known.
+        until: The other end of the interval, or both ends.
+        call: Who asks, for the errors.
+
+    Raises:
+        ValueError: If a time is not finite, or there is only one.
+    """
+    ends = () if until is None else until if isinstance(until, Sequence) else (until,)
+    times = [float(t) for t in (*given, *ends)]
+    if not all(math.isfinite(t) for t in times):
+        raise ValueError(f"{call}: the times {times} must be finite numbers.")
+    if min(times) == max(times):
+        raise ValueError(f"{call}: all is given at t = {times[0]:g}; say how far to go with until=...")
+    return min(times), max(times)

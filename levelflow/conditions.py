@@ -140,11 +140,12 @@ class OnSurface:
         self.field, self.given, self.times, self.n = field, given, times, n
 
     def sample(self, generator: torch.Generator) -> Batch:
-        return pick(self.n, self.given.points, self.given.normals, generator=generator)
+        x, normals = pick(self.n, self.given.points, self.given.normals, generator=generator)
+        return x, normals, _during(self.times, x, generator)
 
     def loss(self, *batch: Tensor) -> Tensor:
-        x, normals = batch
-        jet = self.field.jet(x, x.new_tensor(self.times).expand(len(x), -1), order=1)
+        x, normals, t = batch
+        jet = self.field.jet(x, t, order=1)
         return jet.value**2 + self.normal * ((jet.gradient - normals) ** 2).sum(1)
 
 
@@ -154,22 +155,29 @@ class OffSurface:
     name = "distance"
     weight = 1.0
 
-    def __init__(
-        self, field: Field, given: Given, times: tuple[float, ...], *, n: int, band: float = BAND
-    ) -> None:
+    def __init__(self, field: Field, given: Given, times: tuple[float, ...], *, n: int, band: float = BAND) -> None:
         self.field, self.given, self.times, self.n, self.band = field, given, times, n, band
 
     def sample(self, generator: torch.Generator) -> Batch:
         far = self.n // 4
-        near = pick(self.n - far, self.given.near, self.given.near_values, generator=generator)
-        if not far:
-            return near
-        rest = pick(far, self.given.far, self.given.far_values, generator=generator)
-        return tuple(torch.cat(pair) for pair in zip(near, rest, strict=True))
+        x, values = pick(self.n - far, self.given.near, self.given.near_values, generator=generator)
+        if far:
+            rest = pick(far, self.given.far, self.given.far_values, generator=generator)
+            x, values = torch.cat([x, rest[0]]), torch.cat([values, rest[1]])
+        return x, values, _during(self.times, x, generator)
 
     def loss(self, *batch: Tensor) -> Tensor:
-        x, values = batch
-        return band_error(self.field(x, x.new_tensor(self.times).expand(len(x), -1)), values, self.band) ** 2
+        x, values, t = batch
+        return band_error(self.field(x, t), values, self.band) ** 2
+
+
+def _during(times: tuple[float, ...], x: Float[Tensor, "n d"], generator: torch.Generator) -> Float[Tensor, "n k"]:
+    """The normalised times for samples, drawn from [-1, 1] where they are free, which is NaN."""
+    t = x.new_tensor(times).expand(len(x), -1)
+    if not t.isnan().any():
+        return t
+    drawn = 2 * torch.rand(t.shape, generator=generator, dtype=t.dtype) - 1
+    return torch.where(t.isnan(), drawn.to(t.device), t)
 
 
 def band_error(f: Float[Tensor, " n"], values: Float[Tensor, " n"], band: float = BAND) -> Float[Tensor, " n"]:

@@ -60,6 +60,11 @@ class Jet:
             raise ValueError(f"This jet has order {self.order} and no Hessian; ask for it with jet(x, t, order=2).")
         return self.second
 
+    def along(self, i: int) -> Jet:
+        """The jet in space and in one of the times or parameters, as if the others were fixed."""
+        first = None if self.first is None else torch.cat([self.gradient, self.dt[:, i : i + 1]], dim=1)
+        return Jet(self.value, first, self.second, self.space)
+
     def affine(self, weight: Float[Tensor, "m_out m_in"], bias: Float[Tensor, " m_out"] | None = None) -> Jet:
         """The jet of W u + b."""
         value = self.value @ weight.T

@@ -63,10 +63,8 @@ class Motion:
         return torch.where(counts, loss, 0.0).sum(1)
 
     def _scales(self, like: Tensor) -> Tensor:
-        """What brings each column to normalised units: a speed becomes a displacement over half the time."""
-        first, last = self.placed.box.times[0]
-        displacement = (last - first) / 2 / self.placed.box.frame.scale
-        return like.new_tensor([displacement if part.is_speed else 1.0 for part in self.equation.columns])
+        """What brings each column to normalised units."""
+        return like.new_tensor([part.unit(self.placed.box) for part in self.equation.columns])
 
     @torch.no_grad()
     def _walk(self, generator: torch.Generator) -> None:
@@ -92,6 +90,9 @@ class Motion:
         like = self.memory["walkers"]
         z = 2 * torch.rand(n, like.shape[1], generator=generator, dtype=like.dtype) - 1
         z[:, : self.placed.space] *= self._sides(z)
+        drawn = self.equation.draw(n, generator=generator)
+        if drawn is not None:
+            z[:, self.placed.space :] = self.placed.unit_times(drawn)
         return z.to(like.device)
 
     def _sides(self, like: Tensor) -> Tensor:

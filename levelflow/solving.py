@@ -11,7 +11,7 @@ from dataclasses import asdict
 import torch
 from torch import Tensor
 
-from levelflow.boxes import Box
+from levelflow.boxes import Box, interval
 from levelflow.conditions import BAND, NARROW, Given, Key, OffSurface, OnSurface, Sampling, surface_of
 from levelflow.equations.equation import Equation
 from levelflow.fields import Placed
@@ -20,15 +20,21 @@ from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, T
 from levelflow.motion import Blend, Carried, Motion
 from levelflow.networks.lifting import lift, replaced
 from levelflow.networks.siren import SIREN
-from levelflow.transported import reach
+from levelflow.transported import reach, reach_of_family
+
+Instant = float | tuple[float | None, ...]
+"""A time, or a number for each of several parameters; None stands for all values of one."""
+
+Until = float | Sequence[float] | Sequence[float | Sequence[float] | None] | None
+"""The other end of an interval, or both ends; for several parameters one of these, or None, for each."""
 
 
 def solve(
     equation: Equation,
     network: SIREN,
     *,
-    at: Mapping[float, Key],
-    until: float | Sequence[float] | None = None,
+    at: Mapping[float, Key] | Mapping[Instant, Key],
+    until: Until = None,
     start: Placed | None = None,
     box: Box | None = None,
     budget: Budget = DEFAULT_BUDGET,
@@ -46,14 +52,16 @@ def solve(
 
     Args:
         equation: The motion, in the units of the shapes.
-        network: A network of space and one time; it is not changed.
-        at: The shapes or static fields given, by their times.
+        network: A network of space and one time, or several parameters; it is not changed.
+        at: The shapes or static fields given, by their times. With k parameters a tuple of k numbers says where a shape
+            is given, with None in the place of those for all of whose values it is: {(0.0, None): shape}.
         until: The other end of the time interval, or both ends; the interval always contains the times of `at`. Time
             may run backwards from a given shape: then curvature sharpens, which is ill-posed beyond a short while.
+            With k parameters, one for each.
         start: A static field to start from, such as one fitted to the first shape: its network, lifted to space-time
             and to the width of `network`, replaces that one, frequency and all.
         box: Where the field is to be valid, in the units of the shapes. If left out, the box of the shapes, carried
-            along with the motion where that is possible, and a margin.
+            along with the motion where that is possible, and a margin. Its times are not used.
         budget: Steps, or seconds, of training.
         sampling: How many samples a step draws, and of which kinds.
         warm_up: The part of the budget in which the equation is not yet asked for, only its simplest guess: the given
@@ -75,45 +83,54 @@ def solve(
     Reference:
         Novello et al., Neural Implicit Surface Evolution, ICCV 2023, Secs. 4 and 5.
     """
-    interval = _interval(at, until)
-    if network.times != 1:
-        raise ValueError(f"solve: the network has {network.times} times; give one of space and time, SIREN(time=1).")
+    if not at:
+        raise ValueError("solve(at={}): give at least one shape, such as at={0.0: shape}.")
+    if not network.times:
+        raise ValueError("solve: the network has 0 times; give one of space and time, SIREN(time=1).")
+    instants = [_instant(key, network.times) for key in at]
+    intervals = _intervals(instants, until, network.times)
     if not 0 <= warm_up < 1:
         raise ValueError(f"solve(warm_up={warm_up:g}): give the part of the budget, at least 0 and below 1.")
-    surfaces = {t: surface_of(key) for t, key in at.items()}
-    if spaces := {surface.box.space for surface in surfaces.values()} - {network.space}:
+    surfaces = [surface_of(key) for key in at.values()]
+    if spaces := {surface.box.space for surface in surfaces} - {network.space}:
         raise ValueError(
             f"solve: the network has {network.space} space coordinates, a shape has {spaces.pop()}; "
             "give SIREN(2, 1) for curves in the plane and SIREN(3, 1) for surfaces."
         )
-    if equation.sharpens and interval[0] < min(at):
-        warnings.warn(
-            f"{equation!r} sharpens before t = {min(at):g}, which is ill-posed: details and noise grow without bound. "
-            f"It is trained back to t = {interval[0]:g}; keep such intervals short.",
-            stacklevel=2,
-        )
-    box = (box or reach(equation, surfaces, interval)).during(interval)
+    for column in equation.columns:
+        first, given_at = intervals[column.parameter][0], min(instant[column.parameter] for instant in instants)
+        if column.sharpens and first < given_at:
+            warnings.warn(
+                f"{column!r} sharpens before t = {given_at:g}, which is ill-posed: details and noise grow without "
+                f"bound. It is trained back to t = {first:g}; keep such intervals short.",
+                stacklevel=2,
+            )
+    if box is None and network.times == 1:
+        box = reach(equation, {t: s for (t,), s in zip(instants, surfaces, strict=True)}, intervals[0])
+    box = (box or reach_of_family(equation, surfaces, instants, intervals)).during(*intervals)
     generator = torch.Generator().manual_seed(seed)
     if start is not None:
         network = _lifted(start, network, box, generator)
     field = Placed(copy.deepcopy(network), box)
     like = next(field.parameters())
-    given = {t: Given.of(key, box, n=sampling.given, generator=generator, like=like) for t, key in at.items()}
+    given = [Given.of(key, box, n=sampling.given, generator=generator, like=like) for key in at.values()]
     n, on, off = sampling.counts()
     band = NARROW if equation.order > 1 else BAND
     terms: list[Term] = []
-    for t, samples in given.items():
-        now = tuple(field.unit_times(torch.tensor([[t]], dtype=torch.float64))[0].tolist())
+    for instant, samples in zip(instants, given, strict=True):
+        now = tuple(field.unit_times(torch.tensor([instant], dtype=torch.float64))[0].tolist())
         terms.append(OnSurface(field.field, samples, now, n=math.ceil(on / len(at))))
         terms.append(OffSurface(field.field, samples, now, n=math.ceil(off / len(at)), band=band))
-    if len(at) == 1 and equation.has_characteristics(box.space):
-        ((t, samples),) = given.items()
-        terms.append(Carried(field, equation, samples, t, n=n, generator=generator))
+    if network.times == len(at) == 1 and equation.has_characteristics(box.space):
+        ((t,),) = instants
+        terms.append(Carried(field, equation, given[0], t, n=n, generator=generator))
         terms.append(Motion(field, equation, n=max(1, n // 4)))
     else:
-        warm_up = 0.0 if start is not None else warm_up
+        if start is not None or (network.times > 1 and len(at) > 1):
+            warm_up = 0.0
         if warm_up:
-            terms.append(Blend(field, list(given.values()), list(given), n=n, until=warm_up, band=band))
+            times = [0.0 if math.isnan(t) else t for t, *_ in instants]
+            terms.append(Blend(field, given, times, n=n, until=warm_up, band=band))
         terms.append(Motion(field, equation, n=n, since=warm_up))
     try:
         progress = minimise(field.parameters(), terms, budget=budget, generator=generator, on_step=on_step, state=state)
@@ -128,22 +145,43 @@ def solve(
         "budget": asdict(budget),
         "sampling": asdict(sampling),
         "warm_up": warm_up,
-        "accuracy": {f"{t:.15g}": accuracy(field.at(t), surface, seed=seed) for t, surface in surfaces.items()},
+        "accuracy": {
+            ",".join(f"{t:.15g}" for t in instant): accuracy(field.at(*instant), surface, seed=seed)
+            for instant, surface in zip(_filled(instants, intervals), surfaces, strict=True)
+        },
     }
     return field
 
 
-def _interval(at: Mapping[float, Key], until: float | Sequence[float] | None) -> tuple[float, float]:
-    """The times from the first to the last of those given and asked for."""
-    ends = () if until is None else until if isinstance(until, Sequence) else (until,)
-    times = [float(t) for t in (*at, *ends)]
-    if not at:
-        raise ValueError("solve(at={}): give at least one shape, such as at={0.0: shape}.")
-    if not all(math.isfinite(t) for t in times):
-        raise ValueError(f"solve: the times {times} must be finite numbers.")
-    if min(times) == max(times):
-        raise ValueError(f"solve: all is given at t = {times[0]:g}; say how far to go with until=...")
-    return min(times), max(times)
+def _instant(key: Instant, k: int) -> tuple[float, ...]:
+    """Where a shape is given: k numbers, NaN for those of which it is given for all values."""
+    values = key if isinstance(key, tuple) else (key,)
+    if len(values) != k or all(value is None for value in values):
+        raise ValueError(
+            f"solve(at={{{key!r}: ...}}): the network has {k} time(s) or parameter(s); give a number for each, or None "
+            "for those for all of whose values the shape is given, such as {(0.0, None): shape}."
+        )
+    return tuple(math.nan if value is None else float(value) for value in values)
+
+
+def _intervals(instants: Sequence[tuple[float, ...]], until: Until, k: int) -> list[tuple[float, float]]:
+    """The interval of each time or parameter."""
+    ends = [until] if k == 1 else list(until) if isinstance(until, Sequence) else [until] * k
+    if len(ends) != k:
+        raise ValueError(f"solve(until={until}): the network has {k} parameters; give an end, or both ends, for each.")
+    found = []
+    for i, end in enumerate(ends):
+        known = [instant[i] for instant in instants if not math.isnan(instant[i])]
+        if not known and end is None:
+            raise ValueError(f"solve(until={until}): say from where to where parameter {i} goes, until=(..., (0, 1)).")
+        found.append(interval(known, end, call="solve"))  # type: ignore[arg-type]
+    return found
+
+
+def _filled(instants: Sequence[tuple[float, ...]], intervals: Sequence[tuple[float, float]]) -> list[tuple[float, ...]]:
+    """The instants, with the middle of the interval in the place of what is free."""
+    middles = [(first + last) / 2 for first, last in intervals]
+    return [tuple(m if math.isnan(t) else t for t, m in zip(instant, middles, strict=True)) for instant in instants]
 
 
 def _lifted(start: Placed, network: SIREN, box: Box, generator: torch.Generator) -> SIREN:
@@ -154,5 +192,7 @@ def _lifted(start: Placed, network: SIREN, box: Box, generator: torch.Generator)
             "solve(start=...): give a static field from fit whose network has the depth of this one and at most its "
             f"width ({network.depth} layers, {network.width} wide)."
         )
-    lifted = lift(replaced(inner, start.box.frame, box.frame), time=1, width=network.width, generator=generator)
+    lifted = lift(
+        replaced(inner, start.box.frame, box.frame), time=network.times, width=network.width, generator=generator
+    )
     return lifted.to(next(network.parameters()).device)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,9 +10,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from levelflow.boxes import Box
+from levelflow.boxes import Box, interval
 from levelflow.conditions import box_around, surface_of
 from levelflow.equations.equation import Equation
+from levelflow.equations.family import Family
 from levelflow.fields import Field
 from levelflow.jets import Jet
 from levelflow.shapes.implicit import value_of
@@ -63,14 +65,8 @@ class Transported(Field):
     ) -> None:
         super().__init__()
         if box is None:
-            ends = () if until is None else until if isinstance(until, Sequence) else (until,)
-            interval = min((time, *ends)), max((time, *ends))
-            if interval[0] == interval[1]:
-                raise ValueError(
-                    f"Transported: the shape is given at t = {time:g}; say how far to go with until=..., "
-                    "or give a box with an interval of time."
-                )
-            box = reach(motion, {time: surface_of(shape)}, interval).during(interval)
+            ends = interval([time], until, call="Transported")
+            box = reach(motion, {time: surface_of(shape)}, ends).during(ends)
         if len(box.times) != 1:
             raise ValueError(f"Transported: the box has {len(box.times)} times; give one interval, box.during((0, 1)).")
         if not motion.has_characteristics(box.space):
@@ -136,9 +132,9 @@ def _enough_steps(motion: Equation, box: Box, time: float) -> int:
     return steps
 
 
-def reach(motion: Equation, surfaces: Mapping[float, Shape], interval: tuple[float, float]) -> Box:
+def reach(motion: Equation, surfaces: Mapping[float, Shape], ends: tuple[float, float]) -> Box:
     """A box around surfaces given at some times, and around where the motion carries them if it can be told."""
-    first, last = interval
+    first, last = ends
     boxes = []
     for t0, surface in surfaces.items():
         boxes.append(surface.box)
@@ -148,4 +144,28 @@ def reach(motion: Equation, surfaces: Mapping[float, Shape], interval: tuple[flo
             carried = motion.carry(x, start, torch.full_like(start, t))
             if carried is not None:
                 boxes.append(Box.around(carried))
+    return box_around(boxes)
+
+
+def reach_of_family(
+    family: Equation, surfaces: Sequence[Shape], starts: Sequence[Sequence[float]], ends: Sequence[tuple[float, float]]
+) -> Box:
+    """A box around surfaces given at points of the parameters, and around where the motions carry them in turn.
+
+    As far as that can be told; the motions are those of a `Family`.
+    """
+    boxes = [surface.box for surface in surfaces]
+    motions = family.motions if isinstance(family, Family) else ()
+    for surface, start in zip(surfaces, starts, strict=True):
+        x = surface.sample(2000, generator=torch.Generator().manual_seed(0)).points
+        for motion, since, (first, last) in zip(motions, start, ends, strict=False):
+            pieces = [x]
+            for t in torch.linspace(first, last, 9).tolist():
+                carried = motion.carry(
+                    x, x.new_full((len(x),), first if math.isnan(since) else since), x.new_full((len(x),), t)
+                )
+                pieces += [] if carried is None else [carried]
+            x = torch.cat(pieces)
+            boxes.append(Box.around(x))
+            x = x[torch.randperm(len(x), generator=torch.Generator().manual_seed(0))[:4000]]
     return box_around(boxes)

@@ -33,7 +33,11 @@ LEVELS = (
 )
 STEPS = {
     "cli": (("names",), ("running", "showing", "taking", "viewing"), ("commands",)),
-    "equations": (("equation",), ("curvature", "eikonal", "morph", "stationary", "transport"), ("described",)),
+    "equations": (
+        ("equation",),
+        ("curvature", "eikonal", "family", "morph", "regional", "stationary", "transport"),
+        ("described", "simplicial"),
+    ),
     "export": (
         ("frames", "normal_motion", "printing"),
         ("snapshots",),

@@ -3,7 +3,10 @@
 from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.equation import Equation, LevelSetEquation
+from levelflow.equations.family import Family
 from levelflow.equations.morph import Morph
+from levelflow.equations.regional import Regional
+from levelflow.equations.simplicial import SimplicialMorph
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
 
@@ -11,10 +14,13 @@ __all__ = [
     "Constant",
     "Eikonal",
     "Equation",
+    "Family",
     "LevelSetEquation",
     "MeanCurvature",
     "Morph",
+    "Regional",
     "Rotation",
+    "SimplicialMorph",
     "Source",
     "Stationary",
     "SumOfVelocities",

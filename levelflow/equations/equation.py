@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from levelflow.boxes import Box
 from levelflow.curvature import gradient_norm
 from levelflow.jets import Jet
 
@@ -21,11 +22,13 @@ class Equation(ABC):
         order: The order of the jets that it needs, 1 or 2.
         is_speed: Whether its error is a speed, in length per unit time; else it has no unit.
         sharpens: Whether it is ill-posed backwards in time.
+        parameter: Which of the times or parameters of the field it moves with, from 0.
     """
 
     order: int = 1
     is_speed: bool = False
     sharpens: bool = False
+    parameter: int = 0
 
     @abstractmethod
     def residual(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Tensor:
@@ -34,6 +37,17 @@ class Equation(ABC):
     def error(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Tensor:
         """The residual in the form that training makes small; the residual itself unless there is a better one."""
         return self.residual(x, t, jet)
+
+    def unit(self, box: Box) -> float:
+        """What brings an error to normalised units, for a field on a box: a speed to a displacement over half the time."""
+        if not self.is_speed:
+            return 1.0
+        first, last = box.times[self.parameter]
+        return (last - first) / 2 / box.frame.scale
+
+    def draw(self, n: int, *, generator: torch.Generator) -> Float[Tensor, "n k"] | None:
+        """Times or parameters for samples, if the field is not wanted for all between the ends; else None."""
+        return None
 
     @property
     def columns(self) -> tuple[Equation, ...]:
@@ -120,18 +134,22 @@ class Together(Equation):
         self.order = max(equation.order for equation in equations)
         self.sharpens = any(equation.sharpens for equation in equations)
 
+    def draw(self, n: int, *, generator: torch.Generator) -> Float[Tensor, "n k"] | None:
+        drawn = (equation.draw(n, generator=generator) for equation in self.equations)
+        return next((parameters for parameters in drawn if parameters is not None), None)
+
     @property
     def columns(self) -> tuple[Equation, ...]:
-        return self.equations
+        return tuple(column for equation in self.equations for column in equation.columns)
 
     def __repr__(self) -> str:
         return " + ".join(map(repr, self.equations))
 
     def residual(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, "n r"]:
-        return torch.stack([equation.residual(x, t, jet) for equation in self.equations], dim=1)
+        return torch.cat([e.residual(x, t, jet).reshape(len(x), -1) for e in self.equations], dim=1)
 
     def error(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, "n r"]:
-        return torch.stack([equation.error(x, t, jet) for equation in self.equations], dim=1)
+        return torch.cat([e.error(x, t, jet).reshape(len(x), -1) for e in self.equations], dim=1)
 
 
 def _together(*equations: Equation) -> Together:

@@ -48,15 +48,10 @@ class Morph(LevelSetEquation):
         self, target: Solid | Field | Mapping[float, Solid | Field], *, since: float = 0.0, until: float = 1.0
     ) -> None:
         targets = dict(target) if isinstance(target, Mapping) else {until: target}
-        for shape in targets.values():
-            if not isinstance(shape, Solid | Field):
-                raise TypeError(
-                    f"Morph: a target of type {type(shape).__name__} has no distance; fit a field to it and give that."
-                )
         if min(targets) <= since:
             raise ValueError(f"Morph: a target at t = {min(targets):g} is not after the departure at t = {since:g}.")
         self.since, self.targets = since, dict(sorted(targets.items()))
-        self._values = [_value(shape) for shape in self.targets.values()]
+        self._values = [goal_of(shape) for shape in self.targets.values()]
 
     def __repr__(self) -> str:
         return f"Morph(towards {len(self.targets)} target(s) at t = {', '.join(f'{t:g}' for t in self.targets)})"
@@ -88,5 +83,14 @@ class Morph(LevelSetEquation):
         return which, arrivals[i] - t[:, 0], (arrivals - starts)[i]
 
 
-def _value(shape: Solid | Field) -> Callable[[Tensor], Tensor]:
+def goal_of(shape: Solid | Field) -> Callable[[Tensor], Tensor]:
+    """The values of a target, from a table where they are costly.
+
+    Raises:
+        TypeError: If it has none.
+    """
+    if not isinstance(shape, Solid | Field):
+        raise TypeError(
+            f"Morph: a target of type {type(shape).__name__} has no distance; fit a field to it and give that."
+        )
     return value_of(Tabulated(shape) if isinstance(shape, Solid) and shape.is_costly else shape)

@@ -1,0 +1,54 @@
+"""Motions that act in one region more than in another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from levelflow.equations.equation import LevelSetEquation
+from levelflow.jets import Jet
+
+Mask = Callable[[Tensor], Tensor]
+"""How much a motion counts at points (n, d): numbers (n,), 0 where nothing moves and 1 for the full speed."""
+
+
+class Regional(LevelSetEquation):
+    r"""A motion whose speed is multiplied by a mask of the place, $v(x, t) = m(x)\,v_0(x, t)$.
+
+    Where the mask is 0 the surface stands still: what is there is a boundary for the rest. Mean curvature with a fixed
+    region leads to soap films, since minimal surfaces are where it comes to rest.
+
+    Args:
+        motion: The motion where the mask is 1.
+        mask: Numbers for points (n, d): a function, or a static field; smooth, for the sake of the network.
+
+    Raises:
+        TypeError: If the mask is not a function of points.
+
+    Reference:
+        Novello et al., Neural homotopies (2022), Sec. 4.2.3.
+    """
+
+    def __init__(self, motion: LevelSetEquation, mask: Mask) -> None:
+        if not callable(mask):
+            raise TypeError(f"Regional({motion!r}, {mask!r}): the mask is to be a function of points, or a field.")
+        self.motion, self.mask = motion, mask
+        self.order, self.sharpens = motion.order, motion.sharpens
+
+    def __repr__(self) -> str:
+        return f"Regional({self.motion!r}, {self.mask!r})"
+
+    def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
+        with torch.no_grad():
+            mask = self.mask(x)
+        if mask.shape != jet.value.shape:
+            raise ValueError(
+                f"{self!r}: the mask has the shape {tuple(mask.shape)} at {len(x)} points; one number each is needed."
+            )
+        return mask.to(jet.value) * self.motion.speed(x, t, jet)
+
+    def weight(self, t: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
+        return self.motion.weight(t)

@@ -1,0 +1,42 @@
+import pytest
+import torch
+
+from levelflow.equations import MeanCurvature, Morph, Regional
+from levelflow.shapes import Circle
+from tests.fields import Explicit, points
+
+
+def shrinking(x, t):
+    """Concentric circles under mean curvature of rate 0.1."""
+    return ((x * x).sum(1) + 0.2 * t[:, 0]).sqrt() - 0.5
+
+
+def test_a_mask_multiplies_the_speed():
+    field, motion = Explicit(shrinking, 2, 1), MeanCurvature(0.1)
+    x, t = points(field)
+    jet = field.jet(x, t, order=2)
+    half = Regional(motion, lambda x: torch.full((len(x),), 0.5))
+    assert half.order == 2 and half.sharpens
+    assert torch.allclose(half.speed(x, t, jet), 0.5 * motion.speed(x, t, jet))
+    assert Regional(motion, lambda x: torch.ones(len(x))).residual(x, t, jet).detach().abs().max() < 1e-12
+    left = Regional(motion, lambda x: (x[:, 0] < 0).double())
+    error = left.residual(x, t, jet).detach()
+    assert error[x[:, 0] < 0].abs().max() < 1e-12 < error[x[:, 0] > 0].abs().min()
+
+
+def test_a_field_is_a_mask_and_the_weight_in_time_is_that_of_the_motion():
+    field, mask = Explicit(shrinking, 2, 1), Explicit(lambda x, t: x[:, 0], 2)
+    x, t = points(field)
+    jet = field.jet(x, t, order=1)
+    morph = Morph(Circle(0.8))
+    assert torch.allclose(Regional(morph, mask).speed(x, t, jet), x[:, 0] * morph.speed(x, t, jet))
+    assert torch.equal(Regional(morph, mask).weight(t), morph.weight(t))
+
+
+def test_what_is_no_mask_is_refused():
+    with pytest.raises(TypeError, match="the mask is to be a function of points"):
+        Regional(MeanCurvature(0.1), 0.5)  # type: ignore[arg-type]
+    field = Explicit(shrinking, 2, 1)
+    x, t = points(field)
+    with pytest.raises(ValueError, match=r"the mask has the shape \(30, 2\) at 30 points"):
+        Regional(MeanCurvature(0.1), lambda x: x).speed(x, t, field.jet(x, t, order=2))

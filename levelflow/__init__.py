@@ -51,6 +51,7 @@ _HOMES = {
     "lift": "networks.lifting",
     "load": "saving",
     "save": "saving",
+    "sliced": "networks.siren",
     "solve": "solving",
 }
 _MODULES = ("curvature", "equations", "export", "fields", "jets", "measures", "rendering", "shapes")
@@ -67,7 +68,7 @@ if TYPE_CHECKING:
     from levelflow.jets import Jet
     from levelflow.minimising import Budget, Divergence
     from levelflow.networks.lifting import lift
-    from levelflow.networks.siren import SIREN
+    from levelflow.networks.siren import SIREN, sliced
     from levelflow.progress import Bar
     from levelflow.rendering import Camera, contact_sheet, film, image
     from levelflow.saving import Checkpoint, load, save

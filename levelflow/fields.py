@@ -77,8 +77,8 @@ class Field(Map):
         """
         return self.push(identity(*self._inputs(x, t), order=order))
 
-    def at(self, *t: float) -> Field:
-        """The field of space alone at the given time or parameters.
+    def at(self, *t: float | None) -> Field:
+        """The field of space alone at the given time or parameters; one that is None stays free.
 
         Raises:
             ValueError: If the number of values is not k, or a value lies outside the interval of the field.
@@ -86,13 +86,13 @@ class Field(Map):
         self._check_times(t)
         return Slice(self, t)
 
-    def _check_times(self, t: Sequence[float]) -> None:
+    def _check_times(self, t: Sequence[float | None]) -> None:
         if len(t) != self.times:
             raise ValueError(f"at{tuple(t)}: this field depends on {self.times} time(s) or parameter(s).")
         if self.box is not None and self.box.times:
             for value, (first, last) in zip(t, self.box.times, strict=True):
                 slack = 1e-9 * max(abs(first), abs(last), last - first)
-                if not first - slack <= value <= last + slack:
+                if value is not None and not first - slack <= value <= last + slack:
                     raise ValueError(
                         f"at({value:g}): the field was solved for times from {first:g} to {last:g}; "
                         "ask for a time in that interval, or solve for a longer one."
@@ -100,22 +100,29 @@ class Field(Map):
 
 
 class Slice(Field):
-    """The field x -> f(x, t) at fixed t."""
+    """The field x -> f(x, t) at fixed t; of several times or parameters, those that are None stay free."""
 
-    def __init__(self, field: Field, t: Sequence[float]) -> None:
+    def __init__(self, field: Field, t: Sequence[float | None]) -> None:
         super().__init__()
         self.field = field
-        self.t = tuple(float(value) for value in t)
-        self.space, self.times = field.space, 0
-        self.box = None if field.box is None else field.box.during()
+        self.t = tuple(None if value is None else float(value) for value in t)
+        self.space, self.times = field.space, self.t.count(None)
+        self.box = None if field.box is None else _sliced(field.box, self.t)
 
     def push(self, jet: Jet) -> Jet:
-        fixed = jet.value.new_tensor(self.t).expand(len(jet.value), -1)
+        free = [*range(self.space), *(self.space + i for i, value in enumerate(self.t) if value is None)]
+        columns = torch.tensor(free, device=jet.value.device)
+        fixed = jet.value.new_tensor([0.0] * self.space + [value or 0.0 for value in self.t])
+
+        def padded(planes: Tensor) -> Tensor:
+            """Derivative planes of the free coordinates as planes of all of them."""
+            return planes.new_zeros(*planes.shape[:-1], len(fixed)).index_copy(-1, columns, planes)
+
         return self.field.push(
             Jet(
-                torch.cat([jet.value, fixed], dim=1),
-                None if jet.first is None else _padded(jet.first, len(self.t)),
-                None if jet.second is None else _padded(jet.second, len(self.t)),
+                fixed.expand(len(jet.value), -1).index_copy(-1, columns, jet.value),
+                None if jet.first is None else padded(jet.first),
+                None if jet.second is None else padded(jet.second),
                 jet.space,
             )
         )
@@ -221,10 +228,11 @@ class Placed(Field):
             jet.space,
         )
 
-    def at(self, *t: float) -> Placed:
+    def at(self, *t: float | None) -> Placed:
         self._check_times(t)
-        unit = self.unit_times(torch.tensor([t], dtype=torch.float64))[0]
-        return Placed(self.field.at(*unit.tolist()), self.box.during())
+        given = torch.tensor([[value or 0.0 for value in t]], dtype=torch.float64)
+        unit = [None if value is None else u for value, u in zip(t, self.unit_times(given)[0].tolist(), strict=True)]
+        return Placed(self.field.at(*unit), _sliced(self.box, t))
 
     def unit_times(self, t: Float[Tensor, "n k"]) -> Float[Tensor, "n k"]:
         """Times in [-1, 1], as the field inside takes them."""
@@ -253,6 +261,6 @@ def _time_slope(first: float, last: float) -> float:
     return 2 / (last - first) if last > first else 1.0
 
 
-def _padded(planes: Tensor, k: int) -> Tensor:
-    """Derivative planes of (x,) as planes of (x, t) for k constants t."""
-    return torch.cat([planes, planes.new_zeros(*planes.shape[:-1], k)], dim=-1)
+def _sliced(box: Box, t: Sequence[float | None]) -> Box:
+    """The same box in space with the intervals of the times that stay free."""
+    return box.during(*(interval for value, interval in zip(t, box.times, strict=False) if value is None))

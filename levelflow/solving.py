@@ -58,8 +58,8 @@ def solve(
         until: The other end of the time interval, or both ends; the interval always contains the times of `at`. Time
             may run backwards from a given shape: then curvature sharpens, which is ill-posed beyond a short while.
             With k parameters, one for each.
-        start: A static field to start from, such as one fitted to the first shape: its network, lifted to space-time
-            and to the width of `network`, replaces that one, frequency and all.
+        start: A field to start from, such as one fitted to the first shape, or a motion to go on from: its network,
+            lifted to space-time and to the width and depth of `network`, replaces that one, frequency and all.
         box: Where the field is to be valid, in the units of the shapes. If left out, the box of the shapes, carried
             along with the motion where that is possible, and a margin. Its times are not used.
         budget: Steps, or seconds, of training.
@@ -185,14 +185,15 @@ def _filled(instants: Sequence[tuple[float, ...]], intervals: Sequence[tuple[flo
 
 
 def _lifted(start: Placed, network: SIREN, box: Box, generator: torch.Generator) -> SIREN:
-    """The network of a static field, lifted to space-time and to another box."""
+    """The network of a field, lifted to space-time, to the size of another network and to another box."""
     inner = start.field if isinstance(start, Placed) else None
-    if not isinstance(inner, SIREN) or inner.times or inner.depth != network.depth or inner.width > network.width:
+    fits = isinstance(inner, SIREN) and inner.space == network.space and inner.times in (0, network.times)
+    if not isinstance(inner, SIREN) or not fits or inner.depth > network.depth or inner.width > network.width:
         raise ValueError(
-            "solve(start=...): give a static field from fit whose network has the depth of this one and at most its "
-            f"width ({network.depth} layers, {network.width} wide)."
+            "solve(start=...): give a field from fit or solve in the same space, static or with as many times, and a "
+            f"network of at most the depth and width of this one ({network.depth} layers, {network.width} wide)."
         )
-    lifted = lift(
-        replaced(inner, start.box.frame, box.frame), time=network.times, width=network.width, generator=generator
-    )
+    moved = replaced(inner, start.box, box)
+    added = network.times - inner.times
+    lifted = lift(moved, time=added, width=network.width, depth=network.depth, generator=generator)
     return lifted.to(next(network.parameters()).device)

@@ -29,6 +29,23 @@ def test_a_field_at_a_time_is_static_and_has_the_box_in_space() -> None:
     assert isinstance(formula.at(3.0), Slice)
 
 
+@pytest.mark.parametrize("t", [(3.0, None), (None, -0.5)])
+def test_a_time_that_is_not_given_stays_free(t: tuple[float | None, ...]) -> None:
+    field = placed(3, 2)
+    formula = Explicit(round_field, 3, 2, box=field.box)
+    free = t.index(None)
+    x, times = points(field)
+    times[:, 1 - free] = t[1 - free]
+    for whole in (field, formula):
+        for part in (whole.at(*t), Slice(whole, t)):
+            assert part.times == 1 and part.box == field.box.during(field.box.times[free])
+            assert torch.allclose(part(x, times[:, [free]]), whole(x, times), rtol=0, atol=1e-12)
+            rest = part.at(times[0, free].item())
+            assert rest.times == 0 and torch.allclose(rest(x[:1]), whole(x[:1], times[:1]), rtol=0, atol=1e-12)
+    with pytest.raises(ValueError, match=r"at\(9\): the field was solved for times"):
+        field.at(*(None if value is None else 9.0 for value in t))
+
+
 def test_deforming_composes_with_the_map(generator: torch.Generator) -> None:
     x = torch.rand(20, 2, generator=generator, dtype=torch.float64)
     t = torch.rand(20, 1, generator=generator, dtype=torch.float64)

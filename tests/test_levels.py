@@ -32,7 +32,7 @@ LEVELS = (
     ("__main__",),
 )
 STEPS = {
-    "cli": (("names",), ("running", "showing", "taking", "viewing"), ("commands",)),
+    "cli": (("names",), ("lifting", "running", "showing", "taking", "viewing"), ("commands",)),
     "equations": (
         ("equation",),
         ("curvature", "eikonal", "family", "morph", "regional", "stationary", "transport"),

@@ -5,7 +5,21 @@ import math
 import pytest
 import torch
 
-from levelflow import SIREN, Box, Budget, Circle, Divergence, Rectangle, Sampling, equations, extract, fit, solve
+from levelflow import (
+    SIREN,
+    Box,
+    Budget,
+    Circle,
+    Divergence,
+    Placed,
+    Rectangle,
+    Sampling,
+    equations,
+    extract,
+    fit,
+    lift,
+    solve,
+)
 from levelflow.shapes.cloud import PointCloud
 from levelflow.shapes.implicit import Implicit
 
@@ -154,11 +168,49 @@ def test_wrong_use_is_explained(unchecked, arguments, message):
         solve(equations.Stationary(), arguments.pop("network", network()), **arguments)
 
 
-def test_a_start_that_does_not_fit_is_explained():
-    shape, quick = Circle(0.5), {"budget": Budget(steps=1), "sampling": Sampling(n=64, given=500)}
-    problem = {"at": {0.0: shape}, "until": 1.0, **quick}
-    with pytest.raises(ValueError, match="has the depth of this one"):
-        solve(equations.Stationary(), network(), start=fit(SIREN(2, width=8, depth=3), shape, **quick), **problem)
+@pytest.mark.parametrize(
+    ("inner", "place"),
+    [
+        (SIREN(2, width=33, depth=2), Circle(0.5).box),
+        (SIREN(2, width=32, depth=3), Circle(0.5).box),
+        (SIREN(2, 2, width=8, depth=2), Circle(0.5).box.during((0.0, 1.0), (0.0, 1.0))),
+        (SIREN(3, width=8, depth=2), Box((-1.0,) * 3, (1.0,) * 3)),
+    ],
+    ids=["wider", "deeper", "two parameters", "another space"],
+)
+def test_a_start_that_does_not_fit_is_explained(inner, place):
+    problem = {"at": {0.0: Circle(0.5)}, "until": 1.0}
+    with pytest.raises(ValueError, match=r"same space, static or with as many times.*of this one \(2 layers, 32 wide\)"):
+        solve(equations.Stationary(), network(), start=Placed(inner, place), **problem)
+
+
+def test_a_smaller_start_is_lifted_and_a_lifted_field_is_a_start(generator):
+    """Wider, deeper, in space-time, in another box and over another interval: the same field up to one small step."""
+    shape = Circle(0.5)
+    still = fit(SIREN(2, width=32, depth=2), shape, **QUICK)
+    lifted = Placed(lift(still.field, depth=3), still.box.during((0.0, 1.0)))
+    x = still.box.uniform(200, generator=generator)
+    for start in (still, lifted):
+        found = solve(
+            equations.MeanCurvature(0.1), SIREN(2, 1, width=40, depth=3), at={0.0: shape}, until=0.3, start=start,
+            box=Box((-1.0, -1.5), (1.2, 1.5)), budget=Budget(steps=1), sampling=Sampling(n=8, given=200),
+        )  # fmt: skip
+        assert (found.field.times, found.field.width, found.field.depth) == (1, 40, 3)
+        with torch.no_grad():
+            for t in (0.0, 0.3):
+                assert (found.at(t)(x) - still(x)).abs().max() < 0.03
+
+
+def test_a_motion_goes_on_from_a_motion_in_a_deeper_network(generator):
+    problem = {"at": {0.0: Circle(0.5)}, "sampling": QUICK["sampling"]}
+    first = solve(equations.MeanCurvature(0.1), network(), until=0.2, budget=Budget(steps=100), **problem)
+    field = solve(
+        equations.MeanCurvature(0.1), SIREN(2, 1, width=40, depth=3), until=0.4, start=first, budget=Budget(steps=100),
+        **problem,
+    )  # fmt: skip
+    assert field.box.times == ((0.0, 0.4),)
+    assert (radii(field, 0.0, generator) - 0.5).abs().max() < 0.01
+    assert (radii(field, 0.4, generator) - math.sqrt(0.17)).abs().mean() < 0.01
 
 
 def test_a_start_may_lie_in_another_box(generator):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from levelflow._version import __version__
+from levelflow.cli.lifting import lift, slice_field
 from levelflow.cli.names import (
     box_of,
     builtin,
@@ -383,7 +384,9 @@ def info(
 
 app.command()(export)
 app.command()(film)
+app.command()(lift)
 app.command()(render)
+app.command("slice")(slice_field)
 app.command()(view)
 
 

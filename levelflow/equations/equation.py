@@ -39,7 +39,7 @@ class Equation(ABC):
         return self.residual(x, t, jet)
 
     def unit(self, box: Box) -> float:
-        """What brings an error to normalised units, for a field on a box: a speed to a displacement over half the time."""
+        """What brings an error to normalised units on a box; it makes a speed a displacement over half the time."""
         if not self.is_speed:
             return 1.0
         first, last = box.times[self.parameter]

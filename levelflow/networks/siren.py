@@ -89,25 +89,51 @@ class SIREN(Field):
     def forward(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"] | None = None) -> Tensor:
         return self.jet(x, t, order=0).value
 
-    def at(self, *t: float) -> SIREN:
-        """The network of space alone at the given time: the time columns move into the first bias.
-
-        Reference:
-            Novello et al., Neural Implicit Surface Evolution, supplement, Sec. 3.
-        """
+    def at(self, *t: float | None) -> SIREN:
         self._check_times(t)
-        sliced = SIREN(self.space, width=self.width, depth=self.depth, omega=self.omega, dtype=self.last.weight.dtype)
-        state = {name: value.detach().clone() for name, value in self.state_dict().items()}
-        weight = state["hidden.0.weight"]
-        state["hidden.0.weight"] = weight[:, : self.space].clone()
-        state["hidden.0.bias"] += weight[:, self.space :] @ weight.new_tensor(t)
-        sliced.load_state_dict(state)
-        return sliced.to(weight.device)
+        return sliced(self, *t)
 
     def _hidden(self) -> Sequence[tuple[Tensor, Tensor]]:
         """Weights and biases of the hidden layers with the frequency folded in."""
         layers = cast(Iterable[nn.Linear], self.hidden)
         return [(self.omega * layer.weight, self.omega * layer.bias) for layer in layers]
+
+
+def sliced(network: SIREN, *t: float | None) -> SIREN:
+    r"""The network of space alone at a fixed time: $g(x) = f(x, t)$, exact to rounding.
+
+    The columns U of the times leave the first layer and move into its bias, $\sin(\omega (W x + b + U t))$; all else is
+    copied. With several times or parameters, those that are None stay.
+
+    Args:
+        network: The network f.
+        t: The value of each of its times or parameters, or None.
+
+    Raises:
+        ValueError: If the number of values is not that of the times, or one is no finite number.
+
+    Reference:
+        Novello et al., Neural Implicit Surface Evolution, ICCV 2023, supplement, Prop. 3.1.
+    """
+    if len(t) != network.times:
+        raise ValueError(
+            f"sliced: {len(t)} value(s) are given and the network depends on {network.times} time(s); "
+            "give one for each, None for what is to stay."
+        )
+    fixed = {network.space + i: value for i, value in enumerate(t) if value is not None}
+    if not all(map(math.isfinite, fixed.values())):
+        raise ValueError(f"sliced: the times {list(t)} must be finite numbers.")
+    free = [i for i in range(network.space + network.times) if i not in fixed]
+    last = network.last.weight
+    found = SIREN(
+        network.space, t.count(None), width=network.width, depth=network.depth, omega=network.omega, dtype=last.dtype
+    )
+    state = {name: value.detach().clone() for name, value in network.state_dict().items()}
+    weight = state["hidden.0.weight"]
+    state["hidden.0.weight"] = weight[:, free]
+    state["hidden.0.bias"] += weight[:, list(fixed)] @ weight.new_tensor(list(fixed.values()))
+    found.load_state_dict(state)
+    return found.to(last.device)
 
 
 def sine(u: Tensor, order: int) -> tuple[Tensor, ...]:

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from levelflow.networks.siren import SIREN, sine
+from levelflow.networks.siren import SIREN, sine, sliced
 from tests.fields import points, siren
 
 
@@ -28,6 +28,37 @@ def test_the_network_at_a_time_is_a_network_of_space_with_the_same_values(times:
     assert (sliced.space, sliced.times, sliced.width, sliced.depth, sliced.omega) == (3, 0, 16, 3, 30.0)
     assert sliced.last.weight.dtype == torch.float64
     assert torch.allclose(sliced(x), network(x, t.new_tensor(times).expand_as(t)), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("t", [(0.3, -0.6), (0.3, None), (None, -0.6), (None, None)])
+def test_a_slice_is_a_network_with_the_jets_of_the_whole(t: tuple[float | None, ...]) -> None:
+    network = siren(3, 2, depth=3, omega=30.0)
+    found = sliced(network, *t)
+    free = [i for i, value in enumerate(t) if value is None]
+    assert (found.space, found.times, found.width, found.depth, found.omega) == (3, len(free), 16, 3, 30.0)
+    x, times = points(network)
+    for i, value in enumerate(t):
+        times[:, i] = times[:, i] if value is None else value
+    jet, whole = found.jet(x, times[:, free], order=2), network.jet(x, times, order=2)
+    assert torch.allclose(jet.value, whole.value, rtol=0, atol=1e-12)
+    assert torch.allclose(jet.gradient, whole.gradient, rtol=1e-12, atol=1e-11)
+    assert torch.allclose(jet.dt, whole.dt[:, free], rtol=1e-12, atol=1e-11)
+    assert torch.allclose(jet.hessian, whole.hessian, rtol=1e-11, atol=1e-9)
+
+
+def test_a_slice_of_a_network_of_space_is_a_copy() -> None:
+    network = siren(2)
+    x, _ = points(network)
+    assert torch.equal(sliced(network)(x), network(x))
+
+
+def test_slicing_wants_a_number_or_none_for_each_time() -> None:
+    with pytest.raises(
+        ValueError, match=r"sliced: 1 value\(s\) are given and the network depends on 2 time\(s\); give one"
+    ):
+        sliced(siren(2, 2), 0.3)
+    with pytest.raises(ValueError, match=r"sliced: the times \[nan, None\] must be finite numbers"):
+        sliced(siren(2, 2), math.nan, None)
 
 
 def test_a_slice_shares_no_weights_with_the_network() -> None:

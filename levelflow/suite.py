@@ -168,6 +168,30 @@ def dumbbell(suite: Suite) -> Iterator[Row]:
     yield Row("dumbbell, pinch, time", abs(found / pinch - 1), 0.01, seconds)
 
 
+def catenoid(suite: Suite) -> Iterator[Row]:
+    r"""A film between two rings: a cylinder that is held beyond |z| = h comes to rest as $r = a \cosh(z / a)$.
+
+    The relative error of its radius when the slowest wave in it has died away to a hundredth.
+    """
+    if suite.solver is not solve:
+        return
+    radius, h, rate = 0.5, 0.25, 1.0
+
+    def held(x: Tensor) -> Tensor:
+        return ((h - x[:, 2].abs()) / 0.05).clamp(0, 1)
+
+    motion = equations.Regional(equations.MeanCurvature(rate), held)
+    field, seconds = suite.solve(motion, at={0.0: Tube(radius, 0.0, 0.5)}, until=0.25)
+    low, high = h, radius
+    while high - low > 1e-12:
+        a = (low + high) / 2
+        low, high = (a, high) if a * math.cosh(h / a) < radius else (low, a)
+    for part in (0.0, 0.5, 0.9):
+        exact = low * math.cosh(part * h / low)
+        error = (_radii(field.at(0.25), height=part * h) / exact - 1).abs().max()
+        yield Row(f"catenoid, {part:.1f} of the way to a ring, radius", float(error), 0.01, seconds)
+
+
 def moved(suite: Suite) -> Iterator[Row]:
     """The mesh moved by velocity fields: the mean distance from where characteristics bring it.
 
@@ -288,6 +312,7 @@ CASES: dict[str, Callable[[Suite], Iterator[Row]]] = {
     "tori": tori,
     "corrugated": corrugated,
     "dumbbell": dumbbell,
+    "catenoid": catenoid,
     "moved": moved,
     "standing": standing,
     "enright": enright,

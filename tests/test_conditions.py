@@ -104,14 +104,14 @@ def test_on_and_off_the_surface_the_exact_field_has_no_loss(generator: torch.Gen
 def test_on_the_surface_value_and_normal_are_charged(generator: torch.Generator) -> None:
     field = siren(2, 1)
     term = OnSurface(field, given(CIRCLE), (0.3,), n=64)
-    x, normals = term.sample(generator)
+    x, normals, _ = term.sample(generator)
     jet = field.jet(x, torch.full((64, 1), 0.3, dtype=torch.float64))
     exact = jet.value**2 + term.normal * (jet.gradient - normals).square().sum(1)
-    assert torch.allclose(term.loss(x, normals), exact)
+    assert torch.allclose(term.loss(x, normals, torch.full((64, 1), 0.3, dtype=torch.float64)), exact)
 
 
 def test_off_the_surface_a_quarter_of_the_samples_is_drawn_anywhere(generator: torch.Generator) -> None:
-    _, values = OffSurface(UNIT, given(CIRCLE), (0.0,), n=4000).sample(generator)
+    _, values, _ = OffSurface(UNIT, given(CIRCLE), (0.0,), n=4000).sample(generator)
     assert (values[:3000].abs() < 0.1).float().mean() > 0.8
     assert (values[3000:].abs() < 0.1).float().mean() < 0.4
     assert len(OffSurface(UNIT, given(CIRCLE), (0.0,), n=3).sample(generator)[0]) == 3
@@ -185,3 +185,12 @@ def test_a_placed_field_can_be_given(generator: torch.Generator) -> None:
 
     samples = Given.of(Placed(Explicit(unit, 2), BOX), BOX, n=400, generator=generator, like=LIKE)
     assert torch.allclose(samples.far_values, samples.far.norm(dim=1) - 0.5, rtol=0, atol=1e-12)
+
+
+def test_beyond_the_band_only_the_side_and_a_least_size_are_asked_for():
+    f = torch.tensor([0.01, 0.5, 0.04, 0.06, -0.1, -0.05, 0.3], dtype=torch.float64)
+    d = torch.tensor([0.02, 0.10, 0.10, 0.10, 0.10, -0.2, 2.0], dtype=torch.float64)
+    expected = torch.tensor([-0.01, 0.0, 0.01, 0.0, 0.15, 0.05, 0.0], dtype=torch.float64)
+    assert torch.allclose(band_error(f, d, 0.03), expected)
+    within = torch.tensor([-0.01, 0.4, -0.06, -0.04, -0.2, 0.15, 0.0], dtype=torch.float64)
+    assert torch.allclose(band_error(f, d), within)

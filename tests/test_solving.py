@@ -180,7 +180,7 @@ def test_wrong_use_is_explained(unchecked, arguments, message):
 )
 def test_a_start_that_does_not_fit_is_explained(inner, place):
     problem = {"at": {0.0: Circle(0.5)}, "until": 1.0}
-    with pytest.raises(ValueError, match=r"same space, static or with as many times.*of this one \(2 layers, 32 wide\)"):
+    with pytest.raises(ValueError, match=r"static or with as many times.*this one \(2 layers, 32 wide\)"):
         solve(equations.Stationary(), network(), start=Placed(inner, place), **problem)
 
 

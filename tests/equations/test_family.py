@@ -75,16 +75,16 @@ def test_a_velocity_may_depend_on_parameters_given_for_all_their_values():
     box = Box((-1.2, -0.8), (1.2, 0.8))
     field = solve(
         motion, SIREN(2, 2, width=32, depth=2), at={(0.0, None): Circle(0.5)}, until=(1.0, (-0.5, 0.5)), box=box,
-        budget=Budget(200), sampling=Sampling(1024),
+        budget=Budget(400), sampling=Sampling(1024),
     )  # fmt: skip
     angles = torch.linspace(0, 2 * math.pi, 40, dtype=torch.float64)
     circle = 0.5 * torch.stack([angles.cos(), angles.sin()], dim=1)
     for b in (-0.5, 0.2, 0.5):
         for t in (0.0, 1.0):
-            assert field.at(t, b)(circle + circle.new_tensor([b * t, 0.0])).abs().max() < 0.02
+            assert field.at(t, b)(circle + circle.new_tensor([b * t, 0.0])).abs().max() < 0.05
 
 
-def test_what_is_no_family_is_refused():
+def test_what_is_no_family_is_refused(unchecked):
     with pytest.raises(ValueError, match=r"Family\(\): give a motion for each parameter"):
         Family()
     with pytest.raises(TypeError, match=r"Family: Eikonal\(\) is no motion along the normal"):

@@ -1,9 +1,13 @@
 import pytest
 import torch
 
+from levelflow.boxes import Box
 from levelflow.equations import MeanCurvature, Morph, Regional
 from levelflow.shapes import Circle
 from tests.fields import Explicit, points
+
+
+BOX = Box((-1.0, -1.0), (1.0, 1.0), ((0.0, 0.9),))
 
 
 def shrinking(x, t):
@@ -12,7 +16,7 @@ def shrinking(x, t):
 
 
 def test_a_mask_multiplies_the_speed():
-    field, motion = Explicit(shrinking, 2, 1), MeanCurvature(0.1)
+    field, motion = Explicit(shrinking, 2, 1, box=BOX), MeanCurvature(0.1)
     x, t = points(field)
     jet = field.jet(x, t, order=2)
     half = Regional(motion, lambda x: torch.full((len(x),), 0.5))
@@ -25,7 +29,7 @@ def test_a_mask_multiplies_the_speed():
 
 
 def test_a_field_is_a_mask_and_the_weight_in_time_is_that_of_the_motion():
-    field, mask = Explicit(shrinking, 2, 1), Explicit(lambda x, t: x[:, 0], 2)
+    field, mask = Explicit(shrinking, 2, 1, box=BOX), Explicit(lambda x, t: x[:, 0], 2)
     x, t = points(field)
     jet = field.jet(x, t, order=1)
     morph = Morph(Circle(0.8))
@@ -33,10 +37,10 @@ def test_a_field_is_a_mask_and_the_weight_in_time_is_that_of_the_motion():
     assert torch.equal(Regional(morph, mask).weight(t), morph.weight(t))
 
 
-def test_what_is_no_mask_is_refused():
+def test_what_is_no_mask_is_refused(unchecked):
     with pytest.raises(TypeError, match="the mask is to be a function of points"):
         Regional(MeanCurvature(0.1), 0.5)  # type: ignore[arg-type]
-    field = Explicit(shrinking, 2, 1)
+    field = Explicit(shrinking, 2, 1, box=BOX)
     x, t = points(field)
     with pytest.raises(ValueError, match=r"the mask has the shape \(30, 2\) at 30 points"):
         Regional(MeanCurvature(0.1), lambda x: x).speed(x, t, field.jet(x, t, order=2))

@@ -38,11 +38,12 @@ def main() -> None:
     parser.add_argument("--mesh", type=Path, default=_folder() / "bunny.obj")
     parser.add_argument("--against", nargs="*", choices=("grid", "recipe"), default=[])
     parser.add_argument("--cells", type=int, default=64)
+    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     if unknown := set(options.cases) - set(CASES):
         parser.error(f"there is no case {', '.join(sorted(unknown))}; known are {', '.join(CASES)}")
-    ours = Suite(Mesh.read(options.mesh), options.mesh.stem, Budget(options.steps))
-    print(f"{torch.get_num_threads()} threads, PyTorch {torch.__version__}, {options.steps} steps each")
+    ours = Suite(Mesh.read(options.mesh), options.mesh.stem, Budget(options.steps), seed=options.seed)
+    print(f"{torch.get_num_threads()} threads, PyTorch {torch.__version__}, {options.steps} steps each, seed {options.seed}")
     print(f"{'case':<48}{'limit':>7}{'ours':>10}{'s':>5}" + "".join(f"{name:>10}{'s':>5}" for name in options.against))
     missed = False
     for case in options.cases or CASES:

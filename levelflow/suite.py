@@ -67,6 +67,7 @@ class Suite:
         name: What rows call it.
         budget: Of each case.
         sampling: Of each case.
+        seed: Of every training; rows of different seeds show how much is chance.
         solver: What solves the equations, behind the call of `solve`; a rival of it for comparison. Rows that only
             this library has, fits and motions along characteristics, are left out then.
     """
@@ -75,6 +76,7 @@ class Suite:
     name: str = "mesh"
     budget: Budget = DEFAULT_BUDGET
     sampling: Sampling = Sampling()  # noqa: RUF009
+    seed: int = 0
     solver: Callable[..., Field] = solve
 
     def rows(self, cases: Sequence[str]) -> Iterator[Row]:
@@ -85,13 +87,14 @@ class Suite:
     def solve(self, equation: equations.Equation, **more: object) -> tuple[Field, float]:
         """A field with the default network, and the seconds it took."""
         started = time.perf_counter()
-        field = self.solver(equation, SIREN(time=1), budget=self.budget, sampling=self.sampling, **more)
+        field = self.solver(equation, SIREN(time=1), budget=self.budget, sampling=self.sampling, seed=self.seed, **more)
         return field, time.perf_counter() - started
 
     def fit(self, shape: Solid) -> tuple[Placed, float]:
         """A static field with the default network, and the seconds it took."""
         started = time.perf_counter()
-        return fit(SIREN(), shape, budget=self.budget, sampling=self.sampling), time.perf_counter() - started
+        field = fit(SIREN(), shape, budget=self.budget, sampling=self.sampling, seed=self.seed)
+        return field, time.perf_counter() - started
 
 
 def sphere(suite: Suite) -> Iterator[Row]:

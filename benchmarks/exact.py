@@ -43,7 +43,8 @@ def main() -> None:
     if unknown := set(options.cases) - set(CASES):
         parser.error(f"there is no case {', '.join(sorted(unknown))}; known are {', '.join(CASES)}")
     ours = Suite(Mesh.read(options.mesh), options.mesh.stem, Budget(options.steps), seed=options.seed)
-    print(f"{torch.get_num_threads()} threads, PyTorch {torch.__version__}, {options.steps} steps each, seed {options.seed}")
+    machine = f"{torch.get_num_threads()} threads, PyTorch {torch.__version__}"
+    print(f"{machine}, {options.steps} steps each, seed {options.seed}")
     print(f"{'case':<48}{'limit':>7}{'ours':>10}{'s':>5}" + "".join(f"{name:>10}{'s':>5}" for name in options.against))
     missed = False
     for case in options.cases or CASES:

@@ -6,7 +6,6 @@ from levelflow.equations import MeanCurvature, Morph, Regional
 from levelflow.shapes import Circle
 from tests.fields import Explicit, points
 
-
 BOX = Box((-1.0, -1.0), (1.0, 1.0), ((0.0, 0.9),))
 
 

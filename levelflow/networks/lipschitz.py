@@ -94,6 +94,7 @@ class LipschitzMLP(Field):
         return product[0]
 
     def push(self, jet: Jet) -> Jet:
+        jet = jet.to(self.c)
         *hidden, last = self._bounded()
         for weight, bias in hidden:
             jet = jet.affine(weight, bias).pointwise(tanh)

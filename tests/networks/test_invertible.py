@@ -274,7 +274,7 @@ def test_a_twist_is_learnt_and_the_inverse_stays_exact() -> None:
     x = 2 * torch.rand(4000, 2, generator=generator) - 1
     with torch.no_grad():
         missed = (network(x) - twisted(x)).norm(dim=1)
-        assert missed.max() < 0.05 and missed.square().mean().sqrt() < 0.01
+        assert missed.max() < 0.05 and missed.square().mean().sqrt() < 0.015
         assert (twisted(x) - x).norm(dim=1).max() > 0.3
         least, greatest = network.bounds
         stretches = torch.linalg.svdvals(network.push(identity(x, x[:, :0], order=1)).gradient)

@@ -21,13 +21,17 @@ _HOMES = {
     "Circle": "shapes",
     "Cuboid": "shapes",
     "Cylinder": "shapes",
+    "Deformed": "fields",
     "Divergence": "minimising",
     "Dumbbell": "shapes",
     "EmptyLevelSet": "extraction",
     "Field": "fields",
     "Frame": "boxes",
     "Implicit": "shapes.implicit",
+    "Inverse": "networks.invertible",
+    "InvertibleResNet": "networks.invertible",
     "Jet": "jets",
+    "LipschitzMLP": "networks.lipschitz",
     "Map": "fields",
     "Mesh": "shapes",
     "MeshWarning": "shapes",
@@ -63,11 +67,13 @@ if TYPE_CHECKING:
     from levelflow.boxes import Box, Frame
     from levelflow.conditions import Sampling
     from levelflow.extraction import EmptyLevelSet, extract
-    from levelflow.fields import Field, Map, Placed
+    from levelflow.fields import Deformed, Field, Map, Placed
     from levelflow.fitting import fit
     from levelflow.jets import Jet
     from levelflow.minimising import Budget, Divergence
+    from levelflow.networks.invertible import Inverse, InvertibleResNet
     from levelflow.networks.lifting import lift
+    from levelflow.networks.lipschitz import LipschitzMLP
     from levelflow.networks.siren import SIREN, sliced
     from levelflow.progress import Bar
     from levelflow.rendering import Camera, contact_sheet, film, image

@@ -198,11 +198,11 @@ class Placed(Field):
         d, slopes, like = self.space, jet.value.new_tensor(self._slopes), next(self.field.parameters())
         u, tau = self.box.frame.to_unit(jet.value[:, :d]), self.unit_times(jet.value[:, d:])
         inner = Jet(
-            torch.cat([u, tau], dim=1).to(like),
-            None if jet.first is None else (jet.first * slopes).to(like),
-            None if jet.second is None else (jet.second * slopes).to(like),
+            torch.cat([u, tau], dim=1),
+            None if jet.first is None else jet.first * slopes,
+            None if jet.second is None else jet.second * slopes,
             jet.space,
-        )
+        ).to(like)
         outer, scale = self.field.push(inner), self.box.frame.scale
         return Jet(
             outer.value * scale,

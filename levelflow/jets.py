@@ -95,6 +95,33 @@ class Jet:
             self.space,
         )
 
+    def components(self, start: int, stop: int | None = None) -> Jet:
+        """The jet of some components of a vector-valued map, as a vector."""
+        return Jet(
+            self.value[..., start:stop],
+            None if self.first is None else self.first[..., start:stop],
+            None if self.second is None else self.second[..., start:stop],
+            self.space,
+        )
+
+    def beside(self, other: Jet) -> Jet:
+        """The jet of (u, v) from those of the vectors u and v, of the same order."""
+        return Jet(
+            torch.cat([self.value, other.value], dim=-1),
+            None if self.first is None else torch.cat([self.first, other._first()], dim=-1),
+            None if self.second is None else torch.cat([self.second, other.hessian], dim=-1),
+            self.space,
+        )
+
+    def to(self, like: Tensor) -> Jet:
+        """The jet with the dtype and on the device of a tensor."""
+        return Jet(
+            self.value.to(like),
+            None if self.first is None else self.first.to(like),
+            None if self.second is None else self.second.to(like),
+            self.space,
+        )
+
     def __add__(self, other: Jet) -> Jet:
         order = min(self.order, other.order)
         return Jet(

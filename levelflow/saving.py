@@ -14,8 +14,10 @@ from torch import Tensor
 from levelflow._version import __version__
 from levelflow.boxes import Box
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, Velocity
-from levelflow.fields import Placed
+from levelflow.fields import Deformed, Field, Map, Placed, Slice
 from levelflow.minimising import Progress
+from levelflow.networks.invertible import Inverse, InvertibleResNet
+from levelflow.networks.lipschitz import LipschitzMLP
 from levelflow.networks.siren import SIREN
 from levelflow.shapes.writing import replace_file
 from levelflow.transported import Transported
@@ -23,37 +25,31 @@ from levelflow.transported import Transported
 FORMAT = 2
 _KEY = "levelflow"
 _VELOCITIES: dict[str, Any] = {kind.__name__: kind for kind in (Constant, Rotation, Twist, Source)}
+_NETWORKS: dict[str, Any] = {kind.__name__: kind for kind in (SIREN, LipschitzMLP, InvertibleResNet)}
 
 
 def save(field: Placed | Transported, path: str | Path) -> None:
     """Writes a field to a safetensors file whose header rebuilds it: architecture, box, times and provenance.
 
-    A `Transported` field is the network that is carried and the velocities that carry it. The file appears whole or
-    not at all. The same field gives the same bytes.
+    Networks are placed in a box, deformed by invertible networks or their inverses if they are. A `Transported` field
+    is the field that is carried and the velocities that carry it. The file appears whole or not at all. The same field
+    gives the same bytes.
 
     Raises:
-        TypeError: If the field is not one that `fit` or `solve` returns, or such a field carried by the velocity
-            fields of this library.
+        TypeError: If the field is not made of networks of this library, or not placed, or is carried by something else
+            than the velocity fields of this library.
         OSError: If the file cannot be written.
     """
     carried = field.shape if isinstance(field, Transported) else field
-    network = carried.field if isinstance(carried, Placed) else None
-    if not isinstance(carried, Placed) or not isinstance(network, SIREN):
+    if not isinstance(carried, Placed):
         what = type(field).__name__ + (f" of a {type(carried).__name__}" if carried is not field else "")
         raise TypeError(
             f"save: cannot write a {what}; fields from fit and solve, their slices, and fields from fit that are "
-            "Transported can be saved."
+            "Transported can be saved, and networks that are given a box, Placed(network, box)."
         )
     header: dict[str, Any] = {
         "kind": "field",
-        "network": {
-            "type": "SIREN",
-            "space": network.space,
-            "time": network.times,
-            "width": network.width,
-            "depth": network.depth,
-            "omega": network.omega,
-        },
+        "network": _composition(carried.field),
         "box": _described(carried.box),
         "provenance": field.provenance,
     }
@@ -65,7 +61,7 @@ def save(field: Placed | Transported, path: str | Path) -> None:
             "steps": field.steps,
             "shape": carried.provenance,
         }
-    _write(path, {name: value.detach().cpu() for name, value in network.state_dict().items()}, header)
+    _write(path, {name: value.detach().cpu() for name, value in carried.field.state_dict().items()}, header)
 
 
 def load(path: str | Path) -> Placed | Transported:
@@ -78,14 +74,8 @@ def load(path: str | Path) -> Placed | Transported:
     path = Path(path)
     tensors, header = _read(path, kind="field")
     try:
-        shape = header["network"]
-        if shape["type"] != "SIREN":
-            raise ValueError(f"its network is a {shape['type']!r}, which this version does not know")
-        network = SIREN(
-            shape["space"], shape["time"], width=shape["width"], depth=shape["depth"], omega=shape["omega"],
-            dtype=tensors["last.weight"].dtype,
-        )  # fmt: skip
-        network.load_state_dict(tensors)
+        network = _field(header["network"])
+        network.load_state_dict(tensors, assign=True)
         field: Placed | Transported = Placed(network, _box(header["box"]))
         if (carried := header.get("transported")) is not None:
             field.provenance = dict(carried["shape"])
@@ -106,6 +96,63 @@ def _described(box: Box) -> dict[str, Any]:
 def _box(described: Mapping[str, Any]) -> Box:
     times = tuple((first, last) for first, last in described["times"])
     return Box(tuple(described["lower"]), tuple(described["upper"]), times)
+
+
+def _composition(made: Map) -> dict[str, Any]:
+    """What a map is made of, as plain values: its type and the arguments that make one of the same shape."""
+    kind: dict[str, Any] = {"type": type(made).__name__}
+    match made:
+        case SIREN():
+            return kind | _sizes(made) | {"omega": made.omega}
+        case LipschitzMLP():
+            return kind | _sizes(made)
+        case InvertibleResNet():
+            own = {"blocks": len(made.blocks), "frequencies": made.frequencies}
+            return kind | _sizes(made) | own | {"omega": made.omega, "lipschitz": made.lipschitz}
+        case Inverse():
+            return kind | {"network": _composition(made.network), "tolerance": made.tolerance}
+        case Deformed():
+            return kind | {"field": _composition(made.field), "deformation": _composition(made.deformation)}
+        case Slice():
+            return kind | {"field": _composition(made.field), "t": made.t}
+        case Placed():
+            return kind | {"field": _composition(made.field), "box": _described(made.box)}
+    raise TypeError(
+        f"save: cannot write a {type(made).__name__}, since files hold no code; {', '.join(_NETWORKS)}, and what "
+        "Inverse, Deformed, Slice and Placed make of them, can be saved. Distil the field into a network with fit."
+    )
+
+
+def _sizes(network: SIREN | LipschitzMLP | InvertibleResNet) -> dict[str, int]:
+    return {"space": network.space, "time": network.times, "width": network.width, "depth": network.depth}
+
+
+def _composed(described: Mapping[str, Any]) -> Map:
+    """The described map, with weights yet to be loaded."""
+    arguments = {name: value for name, value in described.items() if name != "type"}
+    match described["type"]:
+        case kind if kind in _NETWORKS:
+            return cast(Map, _NETWORKS[kind](**arguments))
+        case "Inverse":
+            network = _composed(arguments["network"])
+            if not isinstance(network, InvertibleResNet):
+                raise ValueError(f"it has the inverse of a {type(network).__name__}")
+            return Inverse(network, tolerance=arguments["tolerance"])
+        case "Deformed":
+            return Deformed(_field(arguments["field"]), _composed(arguments["deformation"]))
+        case "Slice":
+            return Slice(_field(arguments["field"]), arguments["t"])
+        case "Placed":
+            return Placed(_field(arguments["field"]), _box(arguments["box"]))
+        case kind:
+            raise ValueError(f"its network is a {kind!r}, which this version does not know")
+
+
+def _field(described: Mapping[str, Any]) -> Field:
+    made = _composed(described)
+    if not isinstance(made, Field):
+        raise ValueError(f"where a field belongs it has a {type(made).__name__}")
+    return made
 
 
 def _velocities(field: Transported) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -10,7 +11,9 @@ from torch import Tensor, nn
 from levelflow.boxes import Box
 from levelflow.fields import Deformed, Field, Map, Placed, Slice, Sum
 from levelflow.jets import Jet
+from levelflow.networks.invertible import Inverse, InvertibleResNet
 from levelflow.networks.lifting import lift
+from levelflow.networks.lipschitz import LipschitzMLP
 from levelflow.networks.siren import SIREN
 
 
@@ -100,6 +103,25 @@ def siren(space: int, time: int = 0, *, depth: int = 2, width: int = 16, omega: 
     return SIREN(space, time, width=width, depth=depth, omega=omega, generator=generator, dtype=torch.float64)
 
 
+def lipschitz(space: int, time: int = 0, *, depth: int = 2, seed: int = 0) -> LipschitzMLP:
+    """A small Lipschitz network in float64, most rows of which are scaled down."""
+    generator = torch.Generator().manual_seed(seed)
+    network = LipschitzMLP(space, time, width=16, depth=depth, generator=generator, dtype=torch.float64)
+    with torch.no_grad():
+        network.c -= 2
+    return network
+
+
+def invertible(space: int, time: int = 0, *, seed: int = 0, **more: Any) -> InvertibleResNet:
+    """A small invertible network in float64, no longer the identity: every matrix is at its bound."""
+    generator = torch.Generator().manual_seed(seed)
+    network = InvertibleResNet(space, time, **{"blocks": 3, "width": 16, "frequencies": 2, "omega": 5.0} | more)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter += torch.randn(parameter.shape, generator=generator)
+    return network.double()
+
+
 def placed(space: int, time: int = 0) -> Placed:
     """A small network in units that are not those of the network."""
     box = Box((1.0, -2.0, 3.0)[:space], (4.0, 3.0, 7.0)[:space], ((2.0, 5.0), (-1.0, 0.5))[:time])
@@ -130,6 +152,17 @@ FIELDS: dict[str, Field] = {
     "deformed": Deformed(siren(2), Wave(2)),
     "deformed in time": Deformed(siren(3), Wave(3, 1)),
     "deformed, placed": Deformed(placed(2), Wave(2)),
+    "Lipschitz": lipschitz(2),
+    "deep Lipschitz of space-time": lipschitz(3, 2, depth=4),
+    "Lipschitz at a time": lipschitz(2, 1).at(0.3),
+    "deformed by a network": Deformed(siren(2), invertible(2)),
+    "deformed by a network in time": Deformed(siren(3), invertible(3, 1)),
+    "carried by a network": Deformed(siren(3), Inverse(invertible(3))),
+    "carried by a network in time": Deformed(siren(2), Inverse(invertible(2, 2))),
+    "carried by a network after a map": Deformed(Deformed(siren(2), Inverse(invertible(2))), Wave(2)),
+    "carried by a network, placed": Placed(
+        Deformed(siren(2), Inverse(invertible(2, 1))), Box((1, -2), (4, 3), ((2, 5),))
+    ),
     "sum": Sum(siren(2, 1), siren(2, 1, seed=1), placed(2, 1)),
     "product": Product(siren(3, 1), placed(3, 1)),
     "formula": Explicit(round_field, 2, 1),

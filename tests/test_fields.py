@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import pytest
 import torch
 
@@ -9,7 +11,7 @@ from levelflow.boxes import Box
 from levelflow.fields import Deformed, Placed, Slice, Sum
 from levelflow.networks.siren import SIREN
 from levelflow.shapes.implicit import Implicit
-from tests.fields import FIELDS, Explicit, Product, Wave, placed, points, round_field, siren
+from tests.fields import FIELDS, Explicit, Product, Wave, invertible, lipschitz, placed, points, round_field, siren
 
 
 def test_a_slice_has_the_values_of_the_field_at_that_time() -> None:
@@ -107,6 +109,16 @@ def test_fields_made_of_placed_float32_networks_take_points_in_float64(generator
     assert torch.allclose(Sum(one, other)(x), one(x) + other(x), rtol=0, atol=1e-6)
     assert torch.allclose(Sum(one, other).jet(x).gradient, one.jet(x).gradient + other.jet(x).gradient, atol=1e-5)
     assert Implicit(Sum(one, other), box=box).gap(x).shape == (50,)
+
+
+def test_maps_and_fields_of_different_dtypes_compose(generator: torch.Generator) -> None:
+    x = 2 * torch.rand(50, 2, generator=generator, dtype=torch.float64) - 1
+    for field in (siren(2), lipschitz(2)):
+        exact = Deformed(field, invertible(2)).jet(x, order=2)
+        for inner, outer in ((torch.float32, torch.float64), (torch.float64, torch.float32)):
+            jet = Deformed(copy.deepcopy(field).to(outer), invertible(2).to(inner)).jet(x, order=2)
+            assert {jet.value.dtype, jet.first.dtype, jet.second.dtype} == {outer}
+            assert torch.allclose(jet.second.double(), exact.second, rtol=1e-3, atol=1e-3)
 
 
 def test_the_end_of_the_interval_is_in_it_though_rounding_moves_it() -> None:

@@ -7,9 +7,10 @@ import torch
 from torch import Tensor
 
 from levelflow.equations.curvature import MeanCurvature
-from levelflow.fields import Field
+from levelflow.fields import Deformed, Field
 from levelflow.jets import Jet, identity
-from tests.fields import FIELDS, differentiated, placed, points, siren
+from levelflow.networks.invertible import Inverse
+from tests.fields import FIELDS, differentiated, invertible, lipschitz, placed, points, siren
 
 ORDERS = (0, 1, 2)
 
@@ -60,7 +61,18 @@ def test_a_field_is_called_for_its_value(field: Field) -> None:
     assert close(field(x, t), field.jet(x, t, order=0).value)
 
 
-@pytest.mark.parametrize("field", [siren(2, 1), siren(3, 1, depth=3), placed(2, 1)], ids=["plane", "space", "placed"])
+@pytest.mark.parametrize(
+    "field",
+    [
+        siren(2, 1),
+        siren(3, 1, depth=3),
+        placed(2, 1),
+        lipschitz(2, 1),
+        Deformed(siren(2), invertible(2, 1)),
+        Deformed(siren(2), Inverse(invertible(2, 1))),
+    ],
+    ids=["plane", "space", "placed", "Lipschitz", "deformed", "carried"],
+)
 def test_the_gradient_of_a_curvature_residual_in_the_weights_is_that_of_nested_differentiation(field: Field) -> None:
     x, t = points(field)
     equation = MeanCurvature(rate=0.3)
@@ -92,6 +104,25 @@ def test_components_of_a_map_have_the_jets_of_its_parts() -> None:
     x = torch.rand(5, 3, dtype=torch.float64)
     jet = identity(x, x.new_zeros(5, 0), order=2).component(1)
     assert agree(jet, Jet(x[:, 1], torch.eye(3, dtype=x.dtype)[1].expand(5, 3), x.new_zeros(5, 3, 3), 3))
+
+
+def test_vectors_are_taken_apart_and_put_together_again() -> None:
+    x, t = points(siren(2, 2))
+    for order in ORDERS:
+        jet = identity(x, t, order=order)
+        places, times = jet.components(0, 2), jet.components(2)
+        assert agree(places.component(1), jet.component(1)) and agree(times.component(1), jet.component(3))
+        assert agree(places.beside(times), jet)
+    with pytest.raises(ValueError, match="order 0 and no derivatives"):
+        jet.beside(identity(x, t, order=0))
+
+
+def test_a_jet_takes_the_dtype_of_a_tensor() -> None:
+    x, t = points(siren(2, 1))
+    for order in ORDERS:
+        jet = identity(x, t, order=order).to(torch.zeros(1))
+        assert {part.dtype for part in (jet.value, jet.first, jet.second) if part is not None} == {torch.float32}
+        assert (jet.order, jet.space) == (order, 2)
 
 
 def test_derivatives_that_a_jet_does_not_have_are_asked_for_with_a_higher_order() -> None:

@@ -45,7 +45,7 @@ STEPS = {
         ("gltf", "paraview", "usd", "vdb"),
     ),
     "flows": (("flow",),),
-    "networks": (("siren",), ("lifting",)),
+    "networks": (("lipschitz", "siren"), ("invertible", "lifting")),
     "rendering": (
         ("camera", "colours", "quantities"),
         ("hits",),

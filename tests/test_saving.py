@@ -4,11 +4,27 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from levelflow import SIREN, Box, Budget, Checkpoint, Circle, Sampling, Sphere, fit, load, save
+from levelflow import (
+    SIREN,
+    Box,
+    Budget,
+    Checkpoint,
+    Circle,
+    Deformed,
+    Inverse,
+    LipschitzMLP,
+    Sampling,
+    Sphere,
+    fit,
+    load,
+    save,
+)
 from levelflow.equations import Constant, Rotation, Source, Transport
-from levelflow.fields import Placed, Sum
+from levelflow.fields import Placed, Slice, Sum
 from levelflow.saving import describe
 from levelflow.transported import Transported
+from tests.fields import invertible, lipschitz, siren
+from tests.fields import placed as placed_anywhere
 
 BOX = Box((-3.0, 1.0, 0.0), (5.0, 2.0, 4.0), ((-0.5, 2.0),))
 
@@ -34,6 +50,30 @@ def test_a_slice_is_saved_like_any_field(tmp_path, generator):
     save(field, tmp_path / "f.safetensors")
     x = BOX.uniform(50, generator=generator)
     assert torch.equal(field(x), load(tmp_path / "f.safetensors")(x))
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [
+        lipschitz(3, 1),
+        LipschitzMLP(3, 1, width=8),
+        Deformed(siren(3), invertible(3, 1, blocks=2, depth=1, lipschitz=0.7)),
+        Deformed(siren(3), Inverse(invertible(3, 1).float(), tolerance=1e-3)),
+        Deformed(placed_anywhere(3), Inverse(invertible(3, 1))),
+        Deformed(Slice(siren(3, 2), (0.3, -0.5)), invertible(3, 1)),
+    ],
+    ids=["Lipschitz", "Lipschitz in float32", "deformed", "carried", "carried in units", "carried slice"],
+)
+def test_networks_that_are_bounded_or_move_space_come_back(tmp_path, generator, inner):
+    field = Placed(inner, BOX)
+    x, t = BOX.uniform(20, generator=generator), BOX.uniform_times(20, generator=generator)
+    for saved in (field, field.at(0.5)):
+        save(saved, tmp_path / "f.safetensors")
+        again = load(tmp_path / "f.safetensors")
+        jet, same = (f.jet(x, t[:, : f.times], order=2) for f in (saved, again))
+        assert all(torch.equal(getattr(jet, part), getattr(same, part)) for part in ("value", "first", "second"))
+        assert [p.requires_grad for p in again.parameters()] == [True] * len(list(field.parameters()))
+        assert again.box == saved.box
 
 
 def carried(velocity, **more):
@@ -126,11 +166,29 @@ def test_a_header_that_does_not_describe_its_content_is_refused(tmp_path):
             load(path)
     save_file(tensors, path, metadata=header())
     assert load(path).box == BOX
+    network = json.loads(header()["levelflow"])["network"]
+    moving = {"type": "InvertibleResNet", "space": 3, "time": 1}
+    for described, message in (
+        (moving, "where a field belongs it has a InvertibleResNet"),
+        ({"type": "Deformed", "field": moving, "deformation": moving}, "where a field belongs it has"),
+        (
+            {"type": "Deformed", "field": network, "deformation": {"type": "Inverse", "network": network}},
+            "it has the inverse of a SIREN",
+        ),
+    ):
+        save_file(tensors, path, metadata=header(network=described))
+        with pytest.raises(ValueError, match=message):
+            load(path)
 
 
 def test_only_fields_of_networks_are_saved(unchecked, tmp_path):
     with pytest.raises(TypeError, match="cannot write a Sum"):
         save(Sum(SIREN(width=4), SIREN(width=4)), tmp_path / "f.safetensors")
+    with pytest.raises(TypeError, match=r"cannot write a LipschitzMLP; .* given a box, Placed\(network, box\)"):
+        save(LipschitzMLP(width=4), tmp_path / "f.safetensors")
+    inner = Sum(SIREN(3, 1, width=4), SIREN(3, 1, width=4))
+    with pytest.raises(TypeError, match="cannot write a Sum, since files hold no code; SIREN, LipschitzMLP"):
+        save(Placed(inner, BOX), tmp_path / "f.safetensors")
 
 
 @pytest.mark.filterwarnings("ignore:Implicit.sample")

@@ -78,6 +78,7 @@ class SIREN(Field):
                 layer.bias.uniform_(-1 / math.sqrt(n), 1 / math.sqrt(n), generator=generator)
 
     def push(self, jet: Jet) -> Jet:
+        jet = jet.to(self.last.weight)
         for weight, bias in self._hidden():
             jet = jet.affine(weight, bias).pointwise(sine)
         return jet.affine(self.last.weight, self.last.bias).component(0)

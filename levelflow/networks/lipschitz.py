@@ -108,17 +108,18 @@ class LipschitzMLP(Field):
     def forward(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"] | None = None) -> Tensor:
         return self.jet(x, t, order=0).value
 
-    def at(self, *t: float) -> LipschitzMLP:
-        """The network of space alone at the given time: the time columns move into the first bias.
+    def at(self, *t: float | None) -> LipschitzMLP:
+        """The network at the given time or parameters; of several, those that are None stay.
 
-        Its bounds are no greater than those of this network.
+        Their columns move into the first bias. Its bounds are no greater than those of this network.
         """
         self._check_times(t)
-        sliced = LipschitzMLP(self.space, width=self.width, depth=self.depth, dtype=self.c.dtype)
+        sliced = LipschitzMLP(self.space, t.count(None), width=self.width, depth=self.depth, dtype=self.c.dtype)
         state = {name: value.detach().clone() for name, value in self.state_dict().items()}
         weight = self._bounded()[0][0].detach()
-        state["layers.0.weight"] = weight[:, : self.space].clone()
-        state["layers.0.bias"] += weight[:, self.space :] @ weight.new_tensor(t)
+        free = [*range(self.space), *(self.space + i for i, value in enumerate(t) if value is None)]
+        state["layers.0.weight"] = weight[:, free]
+        state["layers.0.bias"] += weight[:, self.space :] @ weight.new_tensor([value or 0.0 for value in t])
         sliced.load_state_dict(state)
         return sliced.to(weight.device)
 

@@ -122,6 +122,8 @@ def test_the_network_at_a_time_is_a_network_of_space_with_the_same_values_and_no
     sliced = network.at(0.3, -0.7)
     assert (sliced.space, sliced.times, sliced.width, sliced.depth) == (3, 0, 16, 3)
     assert torch.allclose(sliced(x), network(x, t.new_tensor((0.3, -0.7)).expand_as(t)), rtol=0, atol=1e-12)
+    still = network.at(None, -0.7)
+    assert still.times == 1 and torch.allclose(still.at(0.3)(x), sliced(x), rtol=0, atol=1e-12)
     assert sliced.lipschitz == network.lipschitz
     assert torch.allclose(sliced.slopes, network.slopes[:3], rtol=1e-12, atol=0)
     with torch.no_grad():

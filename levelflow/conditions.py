@@ -24,8 +24,8 @@ BAND = 0.25
 so that no network capacity goes into the kinks of a distance on the medial axis."""
 
 NARROW = 0.03
-"""The band for motions by curvature. They do the same to every field with the given zero set, and a kink on the medial
-axis is gone at once: its value moves like the root of the time, which no network follows."""
+"""The band for motions by curvature forwards in time. They do the same to every field with the given zero set, and a
+kink on the medial axis is gone at once: its value moves like the root of the time, which no network follows."""
 
 MARGIN = 0.125
 """How far a box reaches beyond what is in it, as a part of its longest side: the surface then fills [-0.8, 0.8]."""

@@ -11,7 +11,6 @@ from levelflow.conditions import BAND, Given, band_error, pick
 from levelflow.curvature import gradient_norm, total_curvature
 from levelflow.equations.equation import Equation
 from levelflow.fields import Placed
-from levelflow.jets import Jet
 from levelflow.minimising import Batch
 
 
@@ -22,12 +21,14 @@ class Motion:
     of the field as it then is, and a tenth of them start afresh; a sample is a walker plus noise. The error of the
     equation is brought to normalised units, so that it reads as a displacement over half the time interval. Beyond a
     tenth its square grows only like a logarithm: on the medial axis curvature is singular, and no network is to
-    follow it there. Where f is nearly flat, |grad f| < 0.05, a speed says nothing and is left out.
+    follow it there. Where f is nearly flat, |grad f| < 0.05, a speed says nothing and is left out. In an equation of
+    second order errors count relative to the curvature once its radius is below a tenth: a neck of radius r closes
+    after a time of the order of r^2, in which an error of its speed moves it by that share of r.
     """
 
     name = "motion"
     weight, noise = 1.0, 0.01
-    every, turnover, knee, near = 10, 0.1, 0.1, 0.8
+    every, turnover, knee, near, bend = 10, 0.1, 0.1, 0.8, 0.1
 
     def __init__(self, placed: Placed, equation: Equation, *, n: int, since: float = 0.0) -> None:
         self.placed, self.equation, self.n, self.since = placed, equation, n, since
@@ -52,15 +53,13 @@ class Motion:
         # In float64, for the sake of shapes far from the origin of their units.
         x, t = placed.box.frame.from_unit(u.double()), placed.times_in_units(tau.double())
         error = self.equation.error(x, t, jet).reshape(len(z), -1).to(u.dtype)
-        error = error * self._scales(error) / self._tolerance(jet)[:, None]
+        error = error * self._scales(error)
+        if self.equation.order > 1:
+            error = error / (1 + self.bend * placed.box.frame.scale * total_curvature(jet).detach().abs())[:, None]
         loss = self.knee**2 * torch.log1p((error / self.knee) ** 2)
         steep = (gradient_norm(jet) > 0.05)[:, None]
         counts = steep | ~torch.tensor([part.is_speed for part in self.equation.columns], device=steep.device)
         return torch.where(counts, loss, 0.0).sum(1)
-
-    def _tolerance(self, jet: Jet) -> Tensor:
-        """By how much larger an error may be at each sample."""
-        return torch.ones_like(jet.value)
 
     def _scales(self, like: Tensor) -> Tensor:
         """What brings each column to normalised units."""
@@ -100,18 +99,14 @@ class Motion:
         return like.new_tensor(self.placed.box.size) / (2 * self.placed.box.frame.scale)
 
 
-class CurvedMotion(Motion):
-    """The same for an equation of second order.
+class Smoothing(Motion):
+    """The same for motions by curvature that run forwards, which forgive what is not quite right around the surface.
 
-    Errors count relative to the curvature once its radius is below a tenth: a neck of radius r closes after a time of
-    the order of r^2, in which an error of its speed moves it by that share of r. The noise is wider, because second
-    derivatives of f are known from some way around the surface, and the weight larger.
+    The noise is wider, because second derivatives of f are known from some way around the surface, and the weight is
+    larger, for all but the samples far from it.
     """
 
-    weight, noise, near, bend = 10.0, 0.03, 0.98, 0.1
-
-    def _tolerance(self, jet: Jet) -> Tensor:
-        return 1 + self.bend * self.placed.box.frame.scale * total_curvature(jet).detach().abs()
+    weight, noise, near = 10.0, 0.03, 0.98
 
 
 class Carried:

@@ -17,7 +17,7 @@ from levelflow.equations.equation import Equation
 from levelflow.fields import Placed
 from levelflow.measures import accuracy
 from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
-from levelflow.motion import Blend, Carried, CurvedMotion, Motion
+from levelflow.motion import Blend, Carried, Motion, Smoothing
 from levelflow.networks.lifting import lift, replaced
 from levelflow.networks.siren import SIREN
 from levelflow.transported import reach, reach_of_family
@@ -97,9 +97,11 @@ def solve(
             f"solve: the network has {network.space} space coordinates, a shape has {spaces.pop()}; "
             "give SIREN(2, 1) for curves in the plane and SIREN(3, 1) for surfaces."
         )
+    sharpens = False
     for column in equation.columns:
         first, given_at = intervals[column.parameter][0], min(instant[column.parameter] for instant in instants)
         if column.sharpens and first < given_at:
+            sharpens = True
             warnings.warn(
                 f"{column!r} sharpens before t = {given_at:g}, which is ill-posed: details and noise grow without "
                 f"bound. It is trained back to t = {first:g}; keep such intervals short.",
@@ -115,7 +117,8 @@ def solve(
     like = next(field.parameters())
     given = [Given.of(key, box, n=sampling.given, generator=generator, like=like) for key in at.values()]
     n, on, off = sampling.counts()
-    band, normal = (NARROW, 0.001) if equation.order > 1 else (BAND, 0.01)
+    smooths = equation.order > 1 and not sharpens
+    band, normal = (NARROW, 0.001) if smooths else (BAND, 0.01)
     terms: list[Term] = []
     for instant, samples in zip(instants, given, strict=True):
         now = tuple(field.unit_times(torch.tensor([instant], dtype=torch.float64))[0].tolist())
@@ -131,7 +134,7 @@ def solve(
         if warm_up:
             times = [0.0 if math.isnan(t) else t for t, *_ in instants]
             terms.append(Blend(field, given, times, n=n, until=warm_up, band=band))
-        term = CurvedMotion if equation.order > 1 else Motion
+        term = Smoothing if smooths else Motion
         terms.append(term(field, equation, n=n, since=warm_up))
     try:
         progress = minimise(field.parameters(), terms, budget=budget, generator=generator, on_step=on_step, state=state)

@@ -1,6 +1,6 @@
 """What a training step, a fit and a mesh cost, each beside what they are compared with in the same run.
 
-    python benchmarks/speed.py [steps|fit|extract ...] [--width 256] [--points 8192] [--mesh FILE] [--device cpu]
+    python benchmarks/speed.py [steps|fit|extract|show ...] [--width 256] [--points 8192] [--mesh FILE] [--device cpu]
 
 `steps`: a training step of each equation (residual at space-time points, squared, back to the weights) against nested
 automatic differentiation, which is what the papers' codes do, and against the floor: the bare matrix products of the
@@ -13,6 +13,9 @@ mean distance from the mesh in normalised units, for a mesh of one's own or the 
 `extract`: seconds of a mesh at 128, 256 and 512 cells against the evaluation of the full grid (its time is that of 2^21
 of its points, scaled), and what a frame costs beyond the evaluation of the field: finding cells, triangles and a
 binary PLY file.
+
+`show`: seconds of a picture of 512 x 512 pixels, traced and of a mesh, and of a new time in the viewer at its preview
+resolution, colours included; the best of three.
 """
 
 from __future__ import annotations
@@ -30,10 +33,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from levelflow import SIREN, Budget, Mesh, Sphere, extract, fit
+from levelflow import SIREN, Budget, Mesh, Placed, Sphere, extract, fit, image, lift
 from levelflow.equations import Constant, Eikonal, Equation, MeanCurvature, Morph, Rotation, Stationary, Transport
 from levelflow.jets import Jet, identity
 from levelflow.minimising import DEFAULT_BUDGET
+from levelflow.viewer.viewed import ViewedField
 
 EQUATIONS: dict[str, Equation] = {
     "MeanCurvature": MeanCurvature(0.1),
@@ -48,7 +52,7 @@ MESHES = Path(os.environ.get("LEVELFLOW_MESHES", Path(__file__).parents[2] / "sh
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", default=[], metavar="steps|fit|extract", help="all by default")
+    parser.add_argument("parts", nargs="*", default=[], metavar="steps|fit|extract|show", help="all by default")
     parser.add_argument("--width", type=int, default=256)
     parser.add_argument("--points", type=int, default=8192)
     parser.add_argument("--repeats", type=int, default=5)
@@ -150,6 +154,22 @@ def extraction(options: argparse.Namespace) -> None:
             )  # fmt: skip
 
 
+def showing(options: argparse.Namespace) -> None:
+    """Seconds until something is seen."""
+    shape = Mesh.read(options.mesh)
+    still = fit(SIREN().to(options.device), shape, budget=Budget(steps=300))
+    moving = Placed(lift(still.field), still.box.during((0.0, 1.0)))
+    mesh, viewed = extract(still, resolution=128), ViewedField(moving, name="")
+    tasks: dict[str, Callable[[], object]] = {
+        "a traced picture": lambda: image(still),
+        "a picture of a mesh": lambda: image(mesh),
+        "a new time in the viewer": lambda: viewed.surface((0.5,), resolution=64),
+    }
+    print(f"seconds until {options.mesh.stem} is seen, three hidden layers of 128, {len(mesh.faces):,} triangles")
+    for name, task in tasks.items():
+        print(f"{name:<26}{min(_seconds(task, still.device) for _ in range(3)):>6.2f}", flush=True)
+
+
 def nested(equation: Equation, network: SIREN, x: Tensor, t: Tensor, chunk: int) -> None:
     """Gradient of the field, then the derivatives that a residual needs one by one, then the weights."""
     x, t = x.clone().requires_grad_(), t.clone().requires_grad_()
@@ -211,7 +231,7 @@ def floor(equation: Equation, network: SIREN, x: Tensor, chunk: int) -> None:
 
 
 WAYS = {"nested autograd": nested, "plain jet": plain, "ours": ours, "ours, compiled": compiled}
-PARTS = {"steps": steps, "fit": fitting, "extract": extraction}
+PARTS = {"steps": steps, "fit": fitting, "extract": extraction, "show": showing}
 
 
 def _seconds(run: Callable[[], object], device: torch.device) -> float:

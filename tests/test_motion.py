@@ -17,7 +17,7 @@ from levelflow.equations.transport import Rotation, Transport
 from levelflow.fields import Field, Placed
 from levelflow.jets import Jet
 from levelflow.minimising import Budget, minimise
-from levelflow.motion import Blend, Carried, Motion, Smoothing
+from levelflow.motion import Blend, Carried, Motion
 from levelflow.networks.siren import SIREN
 from levelflow.shapes.analytic import Circle
 from tests.fields import Explicit, siren
@@ -128,7 +128,7 @@ def test_errors_of_second_order_count_relative_to_the_curvature() -> None:
     z = torch.tensor([[0.5, 0.0, 0.0], [0.05, 0.0, 0.0]], dtype=torch.float64)
     kappa = torch.tensor([1.0, 10.0], dtype=torch.float64)
     displacement = rate * kappa / 2 / 2
-    for kind in (Motion, Smoothing):
+    for kind in Motion:
         found = kind(still, MeanCurvature(rate), n=5).loss(z)
         assert torch.allclose(found, (displacement / (1 + kind.bend * 2 * kappa)) ** 2, rtol=1e-3)
 

@@ -128,9 +128,8 @@ def test_errors_of_second_order_count_relative_to_the_curvature() -> None:
     z = torch.tensor([[0.5, 0.0, 0.0], [0.05, 0.0, 0.0]], dtype=torch.float64)
     kappa = torch.tensor([1.0, 10.0], dtype=torch.float64)
     displacement = rate * kappa / 2 / 2
-    for kind in Motion:
-        found = kind(still, MeanCurvature(rate), n=5).loss(z)
-        assert torch.allclose(found, (displacement / (1 + kind.bend * 2 * kappa)) ** 2, rtol=1e-3)
+    found = Motion(still, MeanCurvature(rate), n=5).loss(z)
+    assert torch.allclose(found, (displacement / (1 + Motion.bend * 2 * kappa)) ** 2, rtol=1e-3)
 
 
 def test_several_equations_at_once_add_their_losses() -> None:

@@ -23,7 +23,7 @@ from levelflow import SIREN, Budget, Cuboid
 from levelflow.conditions import BAND
 from levelflow.equations import LevelSetEquation
 from levelflow.minimising import minimise
-from levelflow.motion import Motion
+from levelflow.motion import Smoothing
 from levelflow.optimising import SOAP
 from levelflow.shapes.implicit import NoSurface
 from levelflow.suite import CASES, Suite
@@ -33,7 +33,7 @@ Change = Callable[[], AbstractContextManager[object]]
 
 def motion(**changed: float) -> list[Change]:
     """Other constants of the term that asks for the equation."""
-    return [functools.partial(mock.patch.object, Motion, name, value) for name, value in changed.items()]
+    return [functools.partial(mock.patch.object, Smoothing, name, value) for name, value in changed.items()]
 
 
 def network(**changed: float) -> list[Change]:
@@ -63,13 +63,13 @@ VARIANTS: Mapping[str, list[Change]] = {
     "time weights 1": network(time_scale=1.0),
     "raw residual": raw(),
     "samples anywhere": motion(near=0.0),
-    "noise 0.03": motion(noise=0.03),
-    "noise 0.003": motion(noise=0.003),
-    "weight 10": motion(weight=10.0),
+    "noise 0.06": motion(noise=0.06),
+    "noise 0.01": motion(noise=0.01),
+    "weight 1": motion(weight=1.0),
     "distance within 0.25": [functools.partial(mock.patch.object, levelflow.solving, "NARROW", BAND)],
     "errors not relative to curvature": motion(bend=0.0),
     "errors relative from radius 0.3": motion(bend=0.3),
-    "no knee": motion(knee=1e3),
+    "knee at 0.1": motion(knee=0.1),
 }
 
 

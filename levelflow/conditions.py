@@ -134,10 +134,9 @@ class OnSurface:
 
     name = "surface"
     weight = 1.0
-    normal = 0.01
 
-    def __init__(self, field: Field, given: Given, times: tuple[float, ...], *, n: int) -> None:
-        self.field, self.given, self.times, self.n = field, given, times, n
+    def __init__(self, field: Field, given: Given, times: tuple[float, ...], *, n: int, normal: float = 0.01) -> None:
+        self.field, self.given, self.times, self.n, self.normal = field, given, times, n, normal
 
     def sample(self, generator: torch.Generator) -> Batch:
         x, normals = pick(self.n, self.given.points, self.given.normals, generator=generator)

@@ -17,7 +17,7 @@ from levelflow.equations.equation import Equation
 from levelflow.fields import Placed
 from levelflow.measures import accuracy
 from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
-from levelflow.motion import Blend, Carried, Motion
+from levelflow.motion import Blend, Carried, Motion, Smoothing
 from levelflow.networks.lifting import lift, replaced
 from levelflow.networks.siren import SIREN
 from levelflow.transported import reach, reach_of_family
@@ -117,11 +117,12 @@ def solve(
     like = next(field.parameters())
     given = [Given.of(key, box, n=sampling.given, generator=generator, like=like) for key in at.values()]
     n, on, off = sampling.counts()
-    band = NARROW if equation.order > 1 and not sharpens else BAND
+    smooths = equation.order > 1 and not sharpens
+    band, normal = (NARROW, 0.001) if smooths else (BAND, 0.01)
     terms: list[Term] = []
     for instant, samples in zip(instants, given, strict=True):
         now = tuple(field.unit_times(torch.tensor([instant], dtype=torch.float64))[0].tolist())
-        terms.append(OnSurface(field.field, samples, now, n=math.ceil(on / len(at))))
+        terms.append(OnSurface(field.field, samples, now, n=math.ceil(on / len(at)), normal=normal))
         terms.append(OffSurface(field.field, samples, now, n=math.ceil(off / len(at)), band=band))
     if network.times == len(at) == 1 and equation.has_characteristics(box.space):
         ((t,),) = instants
@@ -133,7 +134,7 @@ def solve(
         if warm_up:
             times = [0.0 if math.isnan(t) else t for t, *_ in instants]
             terms.append(Blend(field, given, times, n=n, until=warm_up, band=band))
-        terms.append(Motion(field, equation, n=n, since=warm_up))
+        terms.append((Smoothing if smooths else Motion)(field, equation, n=n, since=warm_up))
     try:
         progress = minimise(field.parameters(), terms, budget=budget, generator=generator, on_step=on_step, state=state)
     except Divergence as error:

@@ -88,7 +88,10 @@ class Field(Map):
 
     def _check_times(self, t: Sequence[float | None]) -> None:
         if len(t) != self.times:
-            raise ValueError(f"at{tuple(t)}: this field depends on {self.times} time(s) or parameter(s).")
+            raise ValueError(
+                f"at{tuple(t)}: this field depends on {self.times} time(s) or parameter(s); give a number for each, or "
+                "None for one that stays (levelflow slice writes such fields)."
+            )
         if self.box is not None and self.box.times:
             for value, (first, last) in zip(t, self.box.times, strict=True):
                 slack = 1e-9 * max(abs(first), abs(last), last - first)

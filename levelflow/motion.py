@@ -55,7 +55,9 @@ class Motion:
         error = self.equation.error(x, t, jet).reshape(len(z), -1).to(u.dtype)
         error = error * self._scales(error)
         if self.equation.order > 1:
-            error = error / (1 + self.bend * placed.box.frame.scale * total_curvature(jet).detach().abs())[:, None]
+            bend = 1 + self.bend * placed.box.frame.scale * total_curvature(jet).detach().abs()
+            curved = torch.tensor([part.order > 1 for part in self.equation.columns], device=error.device)
+            error = torch.where(curved, error / bend[:, None], error)
         loss = self.knee**2 * torch.log1p((error / self.knee) ** 2)
         steep = (gradient_norm(jet) > 0.05)[:, None]
         counts = steep | ~torch.tensor([part.is_speed for part in self.equation.columns], device=steep.device)

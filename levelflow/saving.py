@@ -61,7 +61,7 @@ def save(field: Placed | Transported, path: str | Path) -> None:
             "steps": field.steps,
             "shape": carried.provenance,
         }
-    _write(path, {name: value.detach().cpu() for name, value in carried.field.state_dict().items()}, header)
+    _write(path, {name: value.detach().cpu().clone() for name, value in carried.field.state_dict().items()}, header)
 
 
 def load(path: str | Path) -> Placed | Transported:
@@ -101,6 +101,12 @@ def _box(described: Mapping[str, Any]) -> Box:
 def _composition(made: Map) -> dict[str, Any]:
     """What a map is made of, as plain values: its type and the arguments that make one of the same shape."""
     kind: dict[str, Any] = {"type": type(made).__name__}
+    refusal = TypeError(
+        f"save: cannot write a {type(made).__name__}, since files hold no code; {', '.join(_NETWORKS)}, and what "
+        "Inverse, Deformed, Slice and Placed make of them, can be saved. Distil the field into a network with fit."
+    )
+    if not type(made).__module__.startswith("levelflow."):
+        raise refusal  # a subclass from elsewhere, of whose code the file would know nothing
     match made:
         case SIREN():
             return kind | _sizes(made) | {"omega": made.omega}
@@ -117,10 +123,7 @@ def _composition(made: Map) -> dict[str, Any]:
             return kind | {"field": _composition(made.field), "t": made.t}
         case Placed():
             return kind | {"field": _composition(made.field), "box": _described(made.box)}
-    raise TypeError(
-        f"save: cannot write a {type(made).__name__}, since files hold no code; {', '.join(_NETWORKS)}, and what "
-        "Inverse, Deformed, Slice and Placed make of them, can be saved. Distil the field into a network with fit."
-    )
+    raise refusal
 
 
 def _sizes(network: SIREN | LipschitzMLP | InvertibleResNet) -> dict[str, int]:

@@ -14,6 +14,7 @@ from torch import Tensor
 from levelflow.boxes import Box, interval
 from levelflow.conditions import BAND, NARROW, Given, Key, OffSurface, OnSurface, Sampling, surface_of
 from levelflow.equations.equation import Equation
+from levelflow.equations.family import Family
 from levelflow.fields import Placed
 from levelflow.measures import accuracy
 from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
@@ -88,6 +89,7 @@ def solve(
     if not network.times:
         raise ValueError("solve: the network has 0 times; give one of space and time, SIREN(time=1).")
     instants = [_instant(key, network.times) for key in at]
+    _check_driven(equation, instants, network.times)
     intervals = _intervals(instants, until, network.times)
     if not 0 <= warm_up < 1:
         raise ValueError(f"solve(warm_up={warm_up:g}): give the part of the budget, at least 0 and below 1.")
@@ -99,7 +101,8 @@ def solve(
         )
     sharpens = False
     for column in equation.columns:
-        first, given_at = intervals[column.parameter][0], min(instant[column.parameter] for instant in instants)
+        first = intervals[column.parameter][0]
+        given_at = min((i[column.parameter] for i in instants if not math.isnan(i[column.parameter])), default=first)
         if column.sharpens and first < given_at:
             sharpens = True
             warnings.warn(
@@ -107,7 +110,7 @@ def solve(
                 f"bound. It is trained back to t = {first:g}; keep such intervals short.",
                 stacklevel=2,
             )
-    if box is None and network.times == 1:
+    if box is None and network.times == 1 and not isinstance(equation, Family):
         box = reach(equation, {t: s for (t,), s in zip(instants, surfaces, strict=True)}, intervals[0])
     box = (box or reach_of_family(equation, surfaces, instants, intervals)).during(*intervals)
     generator = torch.Generator().manual_seed(seed)
@@ -149,8 +152,10 @@ def solve(
         "sampling": asdict(sampling),
         "warm_up": warm_up,
         "accuracy": {
-            ",".join(f"{t:.15g}" for t in instant): accuracy(field.at(*instant), surface, seed=seed)
-            for instant, surface in zip(_filled(instants, intervals), surfaces, strict=True)
+            ",".join(":" if math.isnan(t) else f"{t:.15g}" for t in instant): accuracy(
+                field.at(*at), surface, seed=seed
+            )
+            for instant, at, surface in zip(instants, _filled(instants, intervals), surfaces, strict=True)
         },
     }
     return field
@@ -159,12 +164,32 @@ def solve(
 def _instant(key: Instant, k: int) -> tuple[float, ...]:
     """Where a shape is given: k numbers, NaN for those of which it is given for all values."""
     values = key if isinstance(key, tuple) else (key,)
-    if len(values) != k or all(value is None for value in values):
+    numbers = [value for value in values if value is not None]
+    if not all(math.isfinite(value) for value in numbers):
+        raise ValueError(f"solve(at={{{key!r}: ...}}): the times must be finite numbers.")
+    if len(values) != k or not numbers:
         raise ValueError(
             f"solve(at={{{key!r}: ...}}): the network has {k} time(s) or parameter(s); give a number for each, or None "
             "for those for all of whose values the shape is given, such as {(0.0, None): shape}."
         )
     return tuple(math.nan if value is None else float(value) for value in values)
+
+
+def _check_driven(equation: Equation, instants: Sequence[tuple[float, ...]], k: int) -> None:
+    """Refuses parameters that the equation does not know, and those with which nothing says how the surface changes."""
+    if (needed := 1 + max(column.parameter for column in equation.columns)) > k:
+        raise ValueError(
+            f"solve: {equation!r} needs {needed} parameters, and the network has {k}: SIREN(time={needed})."
+        )
+    driven = equation.drives(k)
+    for i in set(range(k)) - driven if driven else ():
+        known = {instant[i] for instant in instants if not math.isnan(instant[i])}
+        if len(known) == 1:
+            raise ValueError(
+                f"solve: nothing says how the surface changes with parameter {i}, which is {known.pop():g} wherever a "
+                "shape is given. Give a motion for each parameter, Family(...), or None in its place in `at`: then the "
+                "shape is given for all of its values."
+            )
 
 
 def _intervals(instants: Sequence[tuple[float, ...]], until: Until, k: int) -> list[tuple[float, float]]:
@@ -175,9 +200,12 @@ def _intervals(instants: Sequence[tuple[float, ...]], until: Until, k: int) -> l
     found = []
     for i, end in enumerate(ends):
         known = [instant[i] for instant in instants if not math.isnan(instant[i])]
-        if not known and end is None:
-            raise ValueError(f"solve(until={until}): say from where to where parameter {i} goes, until=(..., (0, 1)).")
-        found.append(interval(known, end, call="solve"))  # type: ignore[arg-type]
+        if not known and not (isinstance(end, Sequence) and len(end) == 2 and end[0] != end[1]):
+            raise ValueError(
+                f"solve(until={until}): nothing is given at a value of parameter {i}; say from where to where it goes, "
+                "until=(..., (0, 1))."
+            )
+        found.append(interval(known, end, call="solve" if k == 1 else f"solve, parameter {i}"))  # type: ignore[arg-type]
     return found
 
 

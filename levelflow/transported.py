@@ -13,7 +13,7 @@ from torch import Tensor
 from levelflow.boxes import Box, interval
 from levelflow.conditions import box_around, surface_of
 from levelflow.equations.equation import Equation
-from levelflow.equations.family import Family
+from levelflow.equations.family import Along
 from levelflow.fields import Field
 from levelflow.jets import Jet
 from levelflow.shapes.implicit import value_of
@@ -152,13 +152,14 @@ def reach_of_family(
 ) -> Box:
     """A box around surfaces given at points of the parameters, and around where the motions carry them in turn.
 
-    As far as that can be told; the motions are those of a `Family`.
+    As far as that can be told: for the motions of a `Family`.
     """
     boxes = [surface.box for surface in surfaces]
-    motions = family.motions if isinstance(family, Family) else ()
+    motions = [column for column in family.columns if isinstance(column, Along)]
     for surface, start in zip(surfaces, starts, strict=True):
         x = surface.sample(2000, generator=torch.Generator().manual_seed(0)).points
-        for motion, since, (first, last) in zip(motions, start, ends, strict=False):
+        for motion in motions:
+            since, (first, last) = start[motion.parameter], ends[motion.parameter]
             pieces = [x]
             for t in torch.linspace(first, last, 9).tolist():
                 carried = motion.carry(

@@ -128,8 +128,13 @@ def test_errors_of_second_order_count_relative_to_the_curvature() -> None:
     z = torch.tensor([[0.5, 0.0, 0.0], [0.05, 0.0, 0.0]], dtype=torch.float64)
     kappa = torch.tensor([1.0, 10.0], dtype=torch.float64)
     displacement = rate * kappa / 2 / 2
+    relative = 1 + Motion.bend * 2 * kappa
     found = Motion(still, MeanCurvature(rate), n=5).loss(z)
-    assert torch.allclose(found, (displacement / (1 + Motion.bend * 2 * kappa)) ** 2, rtol=1e-3)
+    assert torch.allclose(found, (displacement / relative) ** 2, rtol=1e-3)
+    steeper = Placed(Explicit(lambda u, tau: 2 * torch.linalg.vector_norm(u, dim=1), 2, 1), box)
+    both = Motion(steeper, MeanCurvature(rate) + Eikonal(), n=5)
+    slope = both.knee**2 * math.log1p(1 / both.knee**2)
+    assert torch.allclose(both.loss(z), found + slope)
 
 
 def test_several_equations_at_once_add_their_losses() -> None:

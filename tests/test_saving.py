@@ -181,6 +181,19 @@ def test_a_header_that_does_not_describe_its_content_is_refused(tmp_path):
             load(path)
 
 
+def test_a_network_of_ones_own_is_refused_and_a_shared_one_is_written_twice(tmp_path, generator):
+    class Mine(SIREN):
+        pass
+
+    with pytest.raises(TypeError, match="cannot write a Mine, since files hold no code"):
+        save(Placed(Mine(3, 1, width=4), BOX), tmp_path / "f.safetensors")
+    turn = invertible(3)
+    field = Placed(Deformed(Deformed(siren(3), turn), Inverse(turn)), BOX.during())
+    save(field, tmp_path / "f.safetensors")
+    x = BOX.uniform(20, generator=generator)
+    assert torch.equal(load(tmp_path / "f.safetensors")(x), field(x))
+
+
 def test_only_fields_of_networks_are_saved(unchecked, tmp_path):
     with pytest.raises(TypeError, match="cannot write a Sum"):
         save(Sum(SIREN(width=4), SIREN(width=4)), tmp_path / "f.safetensors")

@@ -92,11 +92,13 @@ def _loaded(call: str, path: Path, output: Path) -> tuple[Placed, SIREN]:
             f"{call} -o {output}: a field is a .safetensors file; name it {output.with_suffix('.safetensors')}."
         )
     field = load(path)
-    if not isinstance(field, Placed) or not isinstance(field.field, SIREN):
+    if not isinstance(field, Placed):
         raise ValueError(
             f"{call} {path}: this field is carried along by a velocity, without a network of space and time; "
             "give one from fit, smooth or morph, or from advect --distil."
         )
+    if not isinstance(field.field, SIREN):
+        raise ValueError(f"{call} {path}: its network is a {type(field.field).__name__}; only a SIREN can be changed.")
     return field, field.field
 
 

@@ -198,7 +198,11 @@ def _quantity(call: str, text: str, colour: str, field: Field, time: float | Non
         return Curvature(field if time is None else field.at(time))
     provenance = getattr(field, "provenance", {})
     equation = equation_of(provenance)
-    if equation is None or time is None:
+    if time is None:
+        raise ValueError(
+            f"{call} {text} --colour residual: the field stands still and has no motion to be right about."
+        )
+    if equation is None:
         known = provenance.get("equation", "none")
         raise ValueError(
             f"{call} {text} --colour residual: the equation of this field, {known}, cannot be told from its file; "

@@ -10,7 +10,7 @@ from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.equation import Equation
 from levelflow.equations.stationary import Stationary
-from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist
+from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
 
 _KNOWN: Mapping[str, Any] = {
     kind.__name__: kind
@@ -21,12 +21,12 @@ _KNOWN: Mapping[str, Any] = {
 def equation_of(provenance: Mapping[str, Any]) -> Equation | None:
     """The equation in `provenance["equation"]`, the `repr` of one whose parts are all numbers.
 
-    None where there is none, or where it has parts that no text can hold: the targets of a morph, a function of one's
-    own.
+    None where there is none, where it has several parameters, or where it has parts that no text can hold: the targets
+    of a morph, a function of one's own.
     """
     try:
         found = _value(ast.parse(str(provenance.get("equation", "")), mode="eval").body)
-    except (SyntaxError, TypeError, ValueError, RecursionError):
+    except (SyntaxError, TypeError, ValueError, RecursionError, MemoryError):
         return None
     return found if isinstance(found, Equation) else None
 
@@ -38,10 +38,16 @@ def _value(node: ast.expr) -> Any:
         ValueError: If it is anything else.
     """
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
-        return _value(node.left) + _value(node.right)
+        left, right = _value(node.left), _value(node.right)
+        if not isinstance(left, Equation) or not isinstance(right, Equation):
+            raise ValueError(f"{ast.unparse(node)} is no sum of equations")
+        return left + right
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in _KNOWN:
         given = {keyword.arg or "": _value(keyword.value) for keyword in node.keywords}
-        return _KNOWN[node.func.id](*map(_value, node.args), **given)
+        made = _KNOWN[node.func.id](*map(_value, node.args), **given)
+        if isinstance(made, SumOfVelocities) and not all(isinstance(v, VelocityField) for v in made.velocities):
+            raise ValueError(f"{ast.unparse(node)} is no sum of velocities")
+        return made
     if isinstance(node, ast.Tuple):
         return tuple(map(_value, node.elts))
     return ast.literal_eval(node)

@@ -38,6 +38,10 @@ class Equation(ABC):
         """The residual in the form that training makes small; the residual itself unless there is a better one."""
         return self.residual(x, t, jet)
 
+    def drives(self, k: int) -> set[int]:
+        """Which of k times or parameters the surface moves with by this equation alone."""
+        return {column.parameter for column in self.columns if column.is_speed}
+
     def unit(self, box: Box) -> float:
         """What brings an error to normalised units on a box; it makes a speed a displacement over half the time."""
         if not self.is_speed:
@@ -133,6 +137,12 @@ class Together(Equation):
         self.equations = equations
         self.order = max(equation.order for equation in equations)
         self.sharpens = any(equation.sharpens for equation in equations)
+        driven = [column.parameter for column in self.columns if column.is_speed]
+        if len(driven) > len(set(driven)):
+            raise ValueError(f"{self!r}: two motions for one parameter; a Family has one for each: Family(a + b, c).")
+
+    def drives(self, k: int) -> set[int]:
+        return set().union(*(equation.drives(k) for equation in self.equations))
 
     def draw(self, n: int, *, generator: torch.Generator) -> Float[Tensor, "n k"] | None:
         drawn = (equation.draw(n, generator=generator) for equation in self.equations)

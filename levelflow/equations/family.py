@@ -44,7 +44,7 @@ class Family(Equation):
 
     @property
     def columns(self) -> tuple[Equation, ...]:
-        return tuple(_Along(motion, i) for i, motion in enumerate(self.motions))
+        return tuple(Along(motion, i) for i, motion in enumerate(self.motions))
 
     def residual(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, "n k"]:
         self._check(t)
@@ -62,7 +62,7 @@ class Family(Equation):
             )
 
 
-class _Along(Equation):
+class Along(Equation):
     """A motion in one of several parameters."""
 
     is_speed = True
@@ -73,6 +73,9 @@ class _Along(Equation):
 
     def __repr__(self) -> str:
         return repr(self.motion)
+
+    def carry(self, x: Tensor, start: Tensor, end: Tensor, *, steps: int = 32) -> Tensor | None:
+        return self.motion.carry(x, start, end, steps=steps)
 
     def residual(self, x: Tensor, t: Tensor, jet: Jet) -> Tensor:
         return self.motion.residual(x, t[:, self.parameter, None], jet.along(self.parameter))

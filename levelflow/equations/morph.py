@@ -51,7 +51,7 @@ class Morph(LevelSetEquation):
         if min(targets) <= since:
             raise ValueError(f"Morph: a target at t = {min(targets):g} is not after the departure at t = {since:g}.")
         self.since, self.targets = since, dict(sorted(targets.items()))
-        self._values = [goal_of(shape) for shape in self.targets.values()]
+        self._values = [goal_of(shape, call="Morph") for shape in self.targets.values()]
 
     def __repr__(self) -> str:
         return f"Morph(towards {len(self.targets)} target(s) at t = {', '.join(f'{t:g}' for t in self.targets)})"
@@ -83,7 +83,7 @@ class Morph(LevelSetEquation):
         return which, arrivals[i] - t[:, 0], (arrivals - starts)[i]
 
 
-def goal_of(shape: Solid | Field) -> Callable[[Tensor], Tensor]:
+def goal_of(shape: Solid | Field, *, call: str) -> Callable[[Tensor], Tensor]:
     """The values of a target, from a table where they are costly.
 
     Raises:
@@ -91,6 +91,6 @@ def goal_of(shape: Solid | Field) -> Callable[[Tensor], Tensor]:
     """
     if not isinstance(shape, Solid | Field):
         raise TypeError(
-            f"Morph: a target of type {type(shape).__name__} has no distance; fit a field to it and give that."
+            f"{call}: a target of type {type(shape).__name__} has no distance; fit a field to it and give that."
         )
     return value_of(Tabulated(shape) if isinstance(shape, Solid) and shape.is_costly else shape)

@@ -26,13 +26,17 @@ class Regional(LevelSetEquation):
         mask: Numbers for points (n, d): a function, or a static field; smooth, for the sake of the network.
 
     Raises:
-        TypeError: If the mask is not a function of points.
+        TypeError: If the motion is none along the normal, or the mask is not a function of points.
 
     Reference:
         Novello et al., Neural homotopies (2022), Sec. 4.2.3.
     """
 
     def __init__(self, motion: LevelSetEquation, mask: Mask) -> None:
+        if not isinstance(motion, LevelSetEquation):
+            raise TypeError(
+                f"Regional({motion!r}, ...): this is no motion along the normal; only its speed has a mask."
+            )
         if not callable(mask):
             raise TypeError(f"Regional({motion!r}, {mask!r}): the mask is to be a function of points, or a field.")
         self.motion, self.mask = motion, mask

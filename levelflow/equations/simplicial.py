@@ -10,7 +10,7 @@ from torch import Tensor
 
 from levelflow.boxes import Box
 from levelflow.curvature import gradient_norm
-from levelflow.equations.equation import LevelSetEquation
+from levelflow.equations.equation import Equation
 from levelflow.equations.morph import goal_of
 from levelflow.fields import Field
 from levelflow.jets import Jet
@@ -20,7 +20,7 @@ from levelflow.shapes.shape import Solid
 _ON_FACE = 1e-5
 
 
-class SimplicialMorph(LevelSetEquation):
+class SimplicialMorph(Equation):
     r"""A surface for every point of a simplicial complex whose vertices are given shapes.
 
     In a simplex with the vertices $v_0, \dots, v_m$, in the order of their numbers, the surface approaches the last
@@ -46,6 +46,8 @@ class SimplicialMorph(LevelSetEquation):
         Novello et al., Neural homotopies (2022), Sec. 8, who name such families; the equation is ours.
     """
 
+    is_speed = True
+
     def __init__(
         self,
         vertices: Sequence[Sequence[float]] | Float[Tensor, "j k"],
@@ -58,7 +60,7 @@ class SimplicialMorph(LevelSetEquation):
                 f"SimplicialMorph: vertices of the shape {tuple(self.vertices.shape)} and {len(shapes)} shapes; "
                 "give two or more points (j, k) and a shape for each."
             )
-        self.shapes, self._goals = tuple(shapes), [goal_of(shape) for shape in shapes]
+        self.shapes, self._goals = tuple(shapes), [goal_of(shape, call="SimplicialMorph") for shape in shapes]
         self.simplices = tuple(tuple(sorted(simplex)) for simplex in simplices or (range(len(shapes)),))
         self._inverses = [self._inverse(simplex) for simplex in self.simplices]
 
@@ -69,6 +71,9 @@ class SimplicialMorph(LevelSetEquation):
     def keys(self) -> dict[tuple[float, ...], Solid | Field]:
         """The shapes by their vertices, for `solve(at=...)`."""
         return {tuple(v): shape for v, shape in zip(self.vertices.tolist(), self.shapes, strict=True)}
+
+    def drives(self, k: int) -> set[int]:
+        return set(range(k))
 
     def unit(self, box: Box) -> float:
         return 0.5 / box.frame.scale

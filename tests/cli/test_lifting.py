@@ -9,7 +9,7 @@ import torch
 from levelflow import SIREN, Circle, Placed, Transported, equations, load, save
 from levelflow.networks.lifting import lifting_error
 from levelflow.saving import describe
-from tests.fields import placed, points
+from tests.fields import lipschitz, placed, points
 
 pytestmark = pytest.mark.filterwarnings("default")
 
@@ -24,6 +24,7 @@ def here(tmp_path, monkeypatch):
     disc = Placed(SIREN(2, width=4, depth=1), Circle(0.5).box.expanded(1.0))
     carried = Transported(equations.Transport(equations.Constant((1.0, 0.0))), disc, box=disc.box.during((0.0, 1.0)))
     save(carried, "carried.safetensors")
+    save(Placed(lipschitz(2), Circle(0.5).box), "smooth.safetensors")
     (tmp_path / "FILE").write_text("a letter")
     return tmp_path
 
@@ -147,6 +148,7 @@ def test_a_full_disk_leaves_what_was_there(run, here, monkeypatch):
         (("lift", "still", "--times", "0:inf"), r"--times 0:inf: give the first and the last"),
         (("lift", "moving", "--times", "0:1"), r"moves already, from t = 2 to 5; leave --times out"),
         (("lift", "carried", "--width", "9"), r"lift carried.*is carried along by a velocity, without a network"),
+        (("lift", "smooth", "--width", "20"), "its network is a LipschitzMLP; only a SIREN can be changed"),
         (("lift", "none", "--width", "20"), "there is no file"),
         (("lift", "FILE", "--width", "20"), "is not a field"),
         (("slice", "still", "--time", "3"), r"does not depend on time; it is a slice already"),

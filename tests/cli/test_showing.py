@@ -98,7 +98,7 @@ def test_films_in_time_and_around(run, folder):
         (("render", "sphere", "--by", "trace", "-o", "x.png"), 2, "this is a mesh"),
         (("render", "sphere", "--colour", "blue", "-o", "x.png"), 2, "known are clay, normal, curvature"),
         (("render", "sphere", "--colour", "residual", "-o", "x.png"), 2, "a mesh solves no equation"),
-        (("render", "still.safetensors", "--colour", "residual", "-o", "x.png"), 2, "this field, none, cannot be told"),
+        (("render", "still.safetensors", "--colour", "residual", "-o", "x.png"), 2, "the field stands still"),
         (("film", "morph.safetensors", "--colour", "residual", "-o", "x.gif"), 2, "at t = 1), cannot be told"),
         (("render", "sphere", "--size", "0", "-o", "x.png"), 2, "give pixels"),
         (("render", "sphere", "--size", "1x2x3", "-o", "x.png"), 2, "give pixels"),

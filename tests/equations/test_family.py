@@ -103,9 +103,36 @@ def test_what_is_no_family_is_refused(unchecked):
         ({(None, None): Circle(0.5)}, (1.0, 1.0), "give a number for each, or None"),
         ({(0.0, 0.0): Circle(0.5)}, (1.0,), "the network has 2 parameters; give an end"),
         ({(0.0, 0.0): Circle(0.5)}, (1.0, None), "all is given at t = 0"),
-        ({(0.0, None): Circle(0.5)}, (1.0, None), "from where to where parameter 1 goes"),
+        ({(0.0, 0.0): Circle(0.5)}, ((0.0, 0.0), 1.0), "solve, parameter 0: all is given at t = 0"),
+        ({(0.0, None): Circle(0.5)}, (1.0, None), "nothing is given at a value of parameter 1"),
+        ({(0.0, None): Circle(0.5)}, (1.0, ()), "nothing is given at a value of parameter 1"),
+        ({(0.0, None): Circle(0.5)}, (1.0, (1.0, 1.0)), "nothing is given at a value of parameter 1"),
+        ({(0.0, math.nan): Circle(0.5)}, (1.0, 1.0), "the times must be finite numbers"),
     ],
 )
 def test_parameters_without_an_interval_are_refused(at, until, message):
     with pytest.raises(ValueError, match=message):
         solve(Family(Transport(Rotation(1.0)), Transport(Constant((1.0, 0.0)))), SIREN(2, 2), at=at, until=until)
+
+
+def test_every_parameter_needs_a_motion_and_every_motion_a_parameter():
+    at = {(0.0, 0.0): Circle(0.5)}
+    with pytest.raises(ValueError, match="nothing says how the surface changes with parameter 1, which is 0"):
+        solve(MeanCurvature(0.1), SIREN(2, 2), at=at, until=(1.0, 1.0))
+    with pytest.raises(ValueError, match=r"needs 2 parameters, and the network has 1: SIREN\(time=2\)"):
+        solve(Family(MOVE, SHRINK), SIREN(2, 1), at={0.0: Circle(0.5)}, until=1.0)
+    with pytest.raises(ValueError, match="two motions for one parameter"):
+        Family(MOVE, SHRINK) + Transport((1.0, 0.0))
+
+
+def test_the_box_is_that_of_the_moved_shape_and_accuracies_name_what_is_free():
+    quick = {"budget": Budget(80), "sampling": Sampling(256, given=2000)}
+    alone = solve(Family(Transport((3.0, 0.0))), SIREN(2, 1, width=8), at={0.0: Circle(0.5)}, until=1.0, **quick)
+    assert alone.box.upper[0] > 3.5
+    free = {(0.0, None): Circle(0.5), (None, 0.0): Circle(0.5)}
+    with pytest.warns(UserWarning, match="sharpens before t = 0"):
+        field = solve(
+            Family(SHRINK, Stationary()), SIREN(2, 2, width=8), at=dict(reversed(free.items())),
+            until=((-0.1, 0.1), (-1.0, 1.0)), **quick,
+        )  # fmt: skip
+    assert set(field.provenance["accuracy"]) == {"0,:", ":,0"}

@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from levelflow.boxes import Box
-from levelflow.equations import MeanCurvature, Morph, Regional
+from levelflow.equations import Eikonal, MeanCurvature, Morph, Regional
 from levelflow.shapes import Circle
 from tests.fields import Explicit, points
 
@@ -39,6 +39,8 @@ def test_a_field_is_a_mask_and_the_weight_in_time_is_that_of_the_motion():
 def test_what_is_no_mask_is_refused(unchecked):
     with pytest.raises(TypeError, match="the mask is to be a function of points"):
         Regional(MeanCurvature(0.1), 0.5)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"Regional\(Eikonal\(\), ...\): this is no motion along the normal"):
+        Regional(Eikonal(), lambda x: x[:, 0])  # type: ignore[arg-type]
     field = Explicit(shrinking, 2, 1, box=BOX)
     x, t = points(field)
     with pytest.raises(ValueError, match=r"the mask has the shape \(30, 2\) at 30 points"):

@@ -94,7 +94,7 @@ def hits_on(raster: Raster, mesh: Mesh, camera: Camera, *, samples: int) -> Hits
     corners = mesh.vertex_normals[mesh.faces]
     crease = (corners * faces[:, None]).sum(2) < _CREASE
     normals = raster.interpolate(np.where(crease[..., None], faces[:, None], corners))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(min=1e-300)
+    normals /= np.sqrt(np.einsum("pc,pc->p", normals, normals)).clip(min=1e-300)[:, None]
     points = raster.interpolate(mesh.vertices[mesh.faces])
     towards = towards_eye(camera, points)
     rows, columns = raster.pixels // raster.width // samples, raster.pixels % raster.width // samples
@@ -108,7 +108,7 @@ def hits_on(raster: Raster, mesh: Mesh, camera: Camera, *, samples: int) -> Hits
         normals,
         raster.depth,
         towards,
-        (faces[raster.faces] * towards).sum(1) < 0,
+        np.einsum("pc,pc->p", faces[raster.faces], towards) < 0,
     )
 
 
@@ -137,18 +137,19 @@ def _fragments(
     points: np.ndarray, planes: np.ndarray, candidates: np.ndarray, height: int, width: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pixel, face and nearness wherever one of the candidates covers a pixel's centre."""
-    y = points[candidates, :, 1]
-    first = np.ceil(y.min(1) - 0.5).clip(0, height).astype(np.int64)
-    last = np.floor(y.max(1) - 0.5).clip(-1, height - 1).astype(np.int64)
+    # Edges along the first axis: reducing a short last one takes numpy several times as long.
+    y = np.ascontiguousarray(points[candidates, :, 1].T)
+    first = np.ceil(y.min(0) - 0.5).clip(0, height).astype(np.int64)
+    last = np.floor(y.max(0) - 0.5).clip(-1, height - 1).astype(np.int64)
     owner, row = _ranges(candidates, first, last)
-    a, b, c = np.moveaxis(planes[owner], 2, 0)
-    offset = b * (row + 0.5)[:, None] + c
+    a, b, c = np.ascontiguousarray(planes[owner].transpose(2, 1, 0))
+    offset = b * (row + 0.5) + c
     with np.errstate(divide="ignore", invalid="ignore"):
         bound = -offset / a
-    left = np.where(a > 0, bound, -np.inf).max(1)
-    right = np.where(a < 0, bound, np.inf).min(1)
+    left = np.where(a > 0, bound, -np.inf).max(0)
+    right = np.where(a < 0, bound, np.inf).min(0)
     # An edge along the row bounds no column: it has the row on its inner side, or the row is empty.
-    empty = ((a == 0) & (offset < 0)).any(1)
+    empty = ((a == 0) & (offset < 0)).any(0)
     start = np.ceil(left - 0.5 - _OVERLAP).clip(0, width).astype(np.int64)
     stop = np.floor(right - 0.5 + _OVERLAP).clip(-1, width - 1).astype(np.int64)
     spans, column = _ranges(np.arange(len(owner)), start, np.where(empty, start - 1, stop))

@@ -58,12 +58,12 @@ def shade(
     key = (normals @ _unit(_KEY)).clip(min=0)
     fill = (normals @ _unit(_FILL)).clip(min=0)
     sky = (0.5 + 0.5 * normals @ camera.axes @ _unit(np.array(camera.up)))[:, None]
-    facing = (normals * towards).sum(1).clip(0, 1)
+    facing = _dot(normals, towards).clip(0, 1)
     openness = _openness(hits)[:, None]
     light = (key[:, None] * _KEY_LIGHT + fill[:, None] * _FILL_LIGHT) * (0.4 + 0.6 * openness)
     light += (sky * _SKY + (1 - sky) * _FLOOR) * openness
     half = _unit(_unit(_KEY) + towards)
-    gloss = 0.06 * ((normals * half).sum(1).clip(min=0) ** 30)[:, None]
+    gloss = 0.06 * (_dot(normals, half).clip(min=0) ** 30)[:, None]
     rim = 0.10 * ((1 - facing) ** 4)[:, None] * _SKY * (0.3 + sky)
     return (albedo * light + gloss * openness + rim).clip(0, 1)
 
@@ -91,6 +91,10 @@ def _openness(hits: Hits) -> Float[np.ndarray, " p"]:
     return np.exp(-total)
 
 
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.asarray(np.einsum("...c,...c->...", a, b))
+
+
 def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    length = np.sqrt(_dot(vectors, vectors))[..., None]
     return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)

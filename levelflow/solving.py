@@ -120,7 +120,7 @@ def solve(
     like = next(field.parameters())
     given = [Given.of(key, box, n=sampling.given, generator=generator, like=like) for key in at.values()]
     n, on, off = sampling.counts()
-    smooths = equation.order > 1 and not sharpens
+    smooths = equation.order > 1 and not sharpens and len(at) == 1
     band, normal = (NARROW, 0.001) if smooths else (BAND, 0.01)
     terms: list[Term] = []
     for instant, samples in zip(instants, given, strict=True):
@@ -153,9 +153,9 @@ def solve(
         "warm_up": warm_up,
         "accuracy": {
             ",".join(":" if math.isnan(t) else f"{t:.15g}" for t in instant): accuracy(
-                field.at(*at), surface, seed=seed
+                field.at(*place), surface, seed=seed
             )
-            for instant, at, surface in zip(instants, _filled(instants, intervals), surfaces, strict=True)
+            for instant, place, surface in zip(instants, _filled(instants, intervals), surfaces, strict=True)
         },
     }
     return field

@@ -21,7 +21,9 @@ def test_an_example_ends_in_a_picture(name, tmp_path):
         cwd=tmp_path, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert "picture.png" in done.stdout and Image.open(tmp_path / "picture.png").width > 500
+    assert "picture.png" in done.stdout
+    with Image.open(tmp_path / "picture.png") as picture:
+        assert picture.width > 500
 
 
 def test_there_are_examples():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from jaxtyping import Float
@@ -58,14 +58,7 @@ class Morph(LevelSetEquation):
 
     def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
         which, remaining, _ = self._next(t)
-        gap = torch.zeros_like(jet.value)
-        for i, value in enumerate(self._values):
-            mine = (which == i).to(jet.value.device)
-            if mine.any():
-                with torch.no_grad():
-                    goal = value(x[mine]).to(jet.value)
-                gap[mine] = goal - jet.value[mine]
-        return -gap / remaining.clamp_min(_SOON).to(jet.value)
+        return -gaps(self._values, which, x, jet) / remaining.clamp_min(_SOON).to(jet.value)
 
     def weight(self, t: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
         which, remaining, interval = self._next(t)
@@ -81,6 +74,18 @@ class Morph(LevelSetEquation):
         which = torch.searchsorted(arrivals, t[:, 0].contiguous())
         i = which.clamp_max(len(arrivals) - 1)
         return which, arrivals[i] - t[:, 0], (arrivals - starts)[i]
+
+
+def gaps(goals: Sequence[Callable[[Tensor], Tensor]], which: Tensor, x: Tensor, jet: Jet) -> Tensor:
+    """By how much the value of each point's goal exceeds that of the field, (n,); 0 where the number is of no goal."""
+    gap = torch.zeros_like(jet.value)
+    for i, goal in enumerate(goals):
+        mine = (which == i).to(jet.value.device)
+        if mine.any():
+            with torch.no_grad():
+                value = goal(x[mine]).to(jet.value)
+            gap[mine] = value - jet.value[mine]
+    return gap
 
 
 def goal_of(shape: Solid | Field, *, call: str) -> Callable[[Tensor], Tensor]:

@@ -11,7 +11,7 @@ from torch import Tensor
 from levelflow.boxes import Box
 from levelflow.curvature import gradient_norm
 from levelflow.equations.equation import Equation
-from levelflow.equations.morph import goal_of
+from levelflow.equations.morph import gaps, goal_of
 from levelflow.fields import Field
 from levelflow.jets import Jet
 from levelflow.shapes.shape import Solid
@@ -108,24 +108,19 @@ class SimplicialMorph(Equation):
             found = torch.where(better, torch.tensor(corners)[last], found)
         return found
 
-    def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
-        last, gap = self.last(t), torch.zeros_like(jet.value)
-        for j, goal in enumerate(self._goals):
-            mine = (last == j).to(jet.value.device)
-            if mine.any():
-                with torch.no_grad():
-                    value = goal(x[mine]).to(jet.value)
-                gap[mine] = value - jet.value[mine]
-        return -gap
-
-    def rate(self, t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
-        return (jet.dt * (self.vertices[self.last(t)].to(t) - t).to(jet.value)).sum(1)
-
     def residual(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
-        return self.rate(t, jet) + self.speed(x, t, jet) * gradient_norm(jet)
+        rate, gap = self._rate_and_gap(x, t, jet)
+        return rate - gap * gradient_norm(jet)
 
     def error(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
-        return self.rate(t, jet) / gradient_norm(jet) + self.speed(x, t, jet)
+        rate, gap = self._rate_and_gap(x, t, jet)
+        return rate / gradient_norm(jet) - gap
+
+    def _rate_and_gap(self, x: Tensor, t: Tensor, jet: Jet) -> tuple[Tensor, Tensor]:
+        """The derivative of f on the way to the last vertex, and by how much its shape's value exceeds f."""
+        last = self.last(t)
+        way = (self.vertices[last].to(t) - t).to(jet.value)
+        return (jet.dt * way).sum(1), gaps(self._goals, last, x, jet)
 
     def _inverse(self, simplex: Sequence[int]) -> Float[Tensor, "m k"]:
         """What takes (p, 1) to barycentric coordinates."""

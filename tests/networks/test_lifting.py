@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import pytest
 import torch
+from torch import Tensor
 
 from levelflow.boxes import Box
 from levelflow.fields import Placed
@@ -58,18 +59,23 @@ def test_a_lifted_network_has_the_values_of_the_static_one_at_every_time(
     assert (jet.dt == 0).all()
 
 
-@pytest.mark.parametrize("depth", [1, 2, 3])
-def test_training_puts_time_and_every_added_neuron_to_use(depth: int, generator: torch.Generator) -> None:
-    lifted = lift(siren(2, depth=depth), width=24, generator=generator)
-    x = torch.rand(50, 2, generator=generator, dtype=torch.float64)
-    t = torch.rand(50, 1, generator=generator, dtype=torch.float64)
-    descent = torch.optim.SGD(lifted.parameters(), lr=1e-3)
+def require_use(lifted: SIREN, x: Tensor, t: Tensor, *, rate: float) -> None:
+    """After a step of training every parameter has a slope."""
+    descent = torch.optim.SGD(lifted.parameters(), lr=rate)
     for _ in range(2):
         descent.zero_grad()
         (lifted(x, t) - t[:, 0]).square().sum().backward()
         descent.step()
     for parameter in lifted.parameters():
         assert parameter.grad is not None and (parameter.grad != 0).all()
+
+
+@pytest.mark.parametrize("depth", [1, 2, 3])
+def test_training_puts_time_and_every_added_neuron_to_use(depth: int, generator: torch.Generator) -> None:
+    lifted = lift(siren(2, depth=depth), width=24, generator=generator)
+    x = torch.rand(50, 2, generator=generator, dtype=torch.float64)
+    t = torch.rand(50, 1, generator=generator, dtype=torch.float64)
+    require_use(lifted, x, t, rate=1e-3)
 
 
 def test_lifting_leaves_the_network_as_it_was_and_keeps_its_dtype() -> None:
@@ -158,13 +164,7 @@ def test_what_training_does_to_an_added_layer_grows_with_one_over_the_slope() ->
 def test_training_puts_every_neuron_of_added_layers_to_use(generator: torch.Generator) -> None:
     lifted = lift(siren(2), width=24, depth=4, generator=generator)
     x, t = points(lifted)
-    descent = torch.optim.SGD(lifted.parameters(), lr=1e-6)
-    for _ in range(2):
-        descent.zero_grad()
-        (lifted(x, t) - t[:, 0]).square().sum().backward()
-        descent.step()
-    for parameter in lifted.parameters():
-        assert parameter.grad is not None and (parameter.grad != 0).all()
+    require_use(lifted, x, t, rate=1e-6)
 
 
 def test_a_network_of_space_time_gets_no_other_time() -> None:

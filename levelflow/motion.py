@@ -56,7 +56,8 @@ class Motion:
         error = error * self._scales(error)
         if self.equation.order > 1:
             bend = 1 + self.bend * placed.box.frame.scale * total_curvature(jet).detach().abs()
-            curved = torch.tensor([part.order > 1 for part in self.equation.columns], device=error.device)
+            speeds = [part.is_speed and part.order > 1 for part in self.equation.columns]
+            curved = torch.tensor(speeds, device=error.device)
             error = torch.where(curved, error / bend[:, None], error)
         loss = self.knee**2 * torch.log1p((error / self.knee) ** 2)
         steep = (gradient_norm(jet) > 0.05)[:, None]
@@ -110,6 +111,12 @@ class Smoothing(Motion):
     """
 
     weight, noise, knee = 10.0, 0.03, 0.01
+
+
+class Diffusion(Motion):
+    """The same for equations about all values of f: asked for in the whole box, half of the samples at the surface."""
+
+    noise, near = 0.1, 0.5
 
 
 class Carried:

@@ -18,7 +18,7 @@ from levelflow.equations.family import Family
 from levelflow.fields import Placed
 from levelflow.measures import accuracy
 from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
-from levelflow.motion import Blend, Carried, Motion, Smoothing
+from levelflow.motion import Blend, Carried, Diffusion, Motion, Smoothing
 from levelflow.networks.lifting import lift, replaced
 from levelflow.networks.siren import SIREN
 from levelflow.transported import reach, reach_of_family
@@ -120,8 +120,9 @@ def solve(
     like = next(field.parameters())
     given = [Given.of(key, box, n=sampling.given, generator=generator, like=like) for key in at.values()]
     n, on, off = sampling.counts()
-    smooths = equation.order > 1 and not sharpens and len(at) == 1
-    band, normal = (NARROW, 0.001) if smooths else (BAND, 0.01)
+    everywhere = any(column.is_rate for column in equation.columns)
+    smooths = equation.order > 1 and not sharpens and len(at) == 1 and not everywhere
+    band, normal = (math.inf, 0.0) if everywhere else (NARROW, 0.001) if smooths else (BAND, 0.01)
     terms: list[Term] = []
     for instant, samples in zip(instants, given, strict=True):
         now = tuple(field.unit_times(torch.tensor([instant], dtype=torch.float64))[0].tolist())
@@ -137,7 +138,8 @@ def solve(
         if warm_up:
             times = [0.0 if math.isnan(t) else t for t, *_ in instants]
             terms.append(Blend(field, given, times, n=n, until=warm_up, band=band))
-        terms.append((Smoothing if smooths else Motion)(field, equation, n=n, since=warm_up))
+        kind = Diffusion if everywhere else Smoothing if smooths else Motion
+        terms.append(kind(field, equation, n=n, since=warm_up))
     try:
         progress = minimise(field.parameters(), terms, budget=budget, generator=generator, on_step=on_step, state=state)
     except Divergence as error:

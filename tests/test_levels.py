@@ -35,7 +35,7 @@ STEPS = {
     "cli": (("names",), ("lifting", "running", "showing", "taking", "viewing"), ("commands",)),
     "equations": (
         ("equation",),
-        ("curvature", "eikonal", "family", "morph", "regional", "stationary", "transport"),
+        ("curvature", "eikonal", "family", "heat", "morph", "regional", "stationary", "transport"),
         ("described", "simplicial"),
     ),
     "export": (

@@ -20,13 +20,16 @@ class Equation(ABC):
 
     Attributes:
         order: The order of the jets that it needs, 1 or 2.
-        is_speed: Whether its error is a speed, in length per unit time; else it has no unit.
+        is_speed: Whether its error is a speed of the surface, in length per unit time.
+        is_rate: Whether its error is a rate of the values of f, in length per unit time. All values take part then, and
+            not the zero set alone.
         sharpens: Whether it is ill-posed backwards in time.
         parameter: Which of the times or parameters of the field it moves with, from 0.
     """
 
     order: int = 1
     is_speed: bool = False
+    is_rate: bool = False
     sharpens: bool = False
     parameter: int = 0
 
@@ -40,11 +43,11 @@ class Equation(ABC):
 
     def drives(self, k: int) -> set[int]:
         """Which of k times or parameters the surface moves with by this equation alone."""
-        return {column.parameter for column in self.columns if column.is_speed}
+        return {column.parameter for column in self.columns if column.is_speed or column.is_rate}
 
     def unit(self, box: Box) -> float:
         """What brings an error to normalised units on a box; it makes a speed a displacement over half the time."""
-        if not self.is_speed:
+        if not (self.is_speed or self.is_rate):
             return 1.0
         first, last = box.times[self.parameter]
         return (last - first) / 2 / box.frame.scale
@@ -71,6 +74,11 @@ class Equation(ABC):
         """Whether the motion alone decides where points go, in so many space coordinates."""
         origin, now = torch.zeros(1, space, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
         return self.carry(origin, now, now) is not None
+
+    def _rate(self, jet: Jet) -> Tensor:
+        if not jet.dt.shape[1]:
+            raise ValueError(f"{self!r}: the field does not depend on time, so nothing can move; give SIREN(time=1).")
+        return jet.dt[:, 0]
 
     def __add__(self, other: Equation) -> Equation:
         return _together(self, other)
@@ -103,11 +111,6 @@ class LevelSetEquation(Equation):
         """The error of the normal speed, v - (-f_t / |grad f|): unlike the residual, a flatter f does not lower it."""
         return (self._rate(jet) / gradient_norm(jet) + self.speed(x, t, jet)) * self.weight(t)
 
-    def _rate(self, jet: Jet) -> Tensor:
-        if not jet.dt.shape[1]:
-            raise ValueError(f"{self!r}: the field does not depend on time, so nothing can move; give SIREN(time=1).")
-        return jet.dt[:, 0]
-
     def __add__(self, other: Equation) -> Equation:
         return Motions(self, other) if isinstance(other, LevelSetEquation) else _together(self, other)
 
@@ -137,7 +140,7 @@ class Together(Equation):
         self.equations = equations
         self.order = max(equation.order for equation in equations)
         self.sharpens = any(equation.sharpens for equation in equations)
-        driven = [column.parameter for column in self.columns if column.is_speed]
+        driven = [column.parameter for column in self.columns if column.is_speed or column.is_rate]
         if len(driven) > len(set(driven)):
             raise ValueError(f"{self!r}: two motions for one parameter; a Family has one for each: Family(a + b, c).")
 

@@ -186,7 +186,8 @@ class Blend:
     """Values at every time between those of the given shapes, linear in time: where training starts from.
 
     A single shape stands still, which is the initialisation of the paper; two give the plain morph of their distances.
-    It needs no derivatives, and so is several times cheaper than the equation.
+    It needs no derivatives, and so is several times cheaper than the equation. `Held` is the same to the end, where
+    the equation holds the shape.
 
     Reference:
         Novello et al., Neural Implicit Surface Evolution, ICCV 2023, Sec. 4.4.
@@ -239,3 +240,10 @@ class Blend:
     def loss(self, *batch: Tensor) -> Tensor:
         u, tau, values = batch
         return band_error(self.placed.field(u, tau), values, self.band) ** 2
+
+
+class Held(Blend):
+    """The values of a given shape, at every time, where the equation lets nothing move: a boundary that stays."""
+
+    name = "held"
+    weight = 10.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +19,7 @@ from levelflow.equations.family import Family
 from levelflow.fields import Placed
 from levelflow.measures import accuracy
 from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
-from levelflow.motion import Blend, Carried, Diffusion, Motion, Smoothing
+from levelflow.motion import Blend, Carried, Diffusion, Held, Motion, Smoothing
 from levelflow.networks.lifting import lift, replaced
 from levelflow.networks.siren import SIREN
 from levelflow.transported import reach, reach_of_family
@@ -138,6 +139,9 @@ def solve(
         if warm_up:
             times = [0.0 if math.isnan(t) else t for t, *_ in instants]
             terms.append(Blend(field, given, times, n=n, until=warm_up, band=band))
+        held = given[0].where(functools.partial(_held, equation), box)
+        if len(at) == 1 and len(held.near):
+            terms.append(Held(field, [held], [0.0], n=n // 4, band=band))
         kind = Diffusion if everywhere else Smoothing if smooths else Motion
         terms.append(kind(field, equation, n=n, since=warm_up))
     try:
@@ -209,6 +213,12 @@ def _intervals(instants: Sequence[tuple[float, ...]], until: Until, k: int) -> l
             )
         found.append(interval(known, end, call="solve" if k == 1 else f"solve, parameter {i}"))  # type: ignore[arg-type]
     return found
+
+
+def _held(equation: Equation, x: Tensor) -> Tensor:
+    """Whether points move with none of the times or parameters, (n,)."""
+    moving = [column.held(x) for column in equation.columns if column.is_speed or column.is_rate]
+    return torch.stack(moving).all(0) if moving else torch.zeros(len(x), dtype=torch.bool, device=x.device)
 
 
 def _filled(instants: Sequence[tuple[float, ...]], intervals: Sequence[tuple[float, float]]) -> list[tuple[float, ...]]:

@@ -7,7 +7,7 @@ from functools import reduce
 from operator import add
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from levelflow.boxes import Box
@@ -51,6 +51,10 @@ class Equation(ABC):
             return 1.0
         first, last = box.times[self.parameter]
         return (last - first) / 2 / box.frame.scale
+
+    def held(self, x: Float[Tensor, "n d"]) -> Bool[Tensor, " n"]:
+        """Whether points never move, so that what is given there is given for the whole interval."""
+        return torch.zeros(len(x), dtype=torch.bool, device=x.device)
 
     def draw(self, n: int, *, generator: torch.Generator) -> Float[Tensor, "n k"] | None:
         """Times or parameters for samples, if the field is not wanted for all between the ends; else None."""
@@ -131,6 +135,9 @@ class Motions(LevelSetEquation):
 
     def weight(self, t: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
         return torch.stack([motion.weight(t) for motion in self.motions]).amin(0)
+
+    def held(self, x: Float[Tensor, "n d"]) -> Bool[Tensor, " n"]:
+        return torch.stack([motion.held(x) for motion in self.motions]).all(0)
 
 
 class Together(Equation):

@@ -246,4 +246,4 @@ class Held(Blend):
     """The values of a given shape, at every time, where the equation lets nothing move: a boundary that stays."""
 
     name = "held"
-    weight = 10.0
+    weight = 100.0

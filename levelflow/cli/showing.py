@@ -124,7 +124,7 @@ def film(
         first, last = shown.box.times[0]  # type: ignore[union-attr]
         values = None if colour in _PLAIN else partial(_quantity, "film", surface, colour, shown)
         # The last frame of a loop is the one before its first.
-        end = first + (last - first) * (frames - 1) / frames if shown.loops else last
+        end = last - (last - first) / max(frames, 1) if shown.loops else last
         asked = times_in(times or f"{first!r}:{end!r}:{frames}")
     elif times is not None:
         raise ValueError(f"film {surface} --times {times}: the surface stands still; leave --times out, or --time.")

@@ -22,12 +22,13 @@ class Periodic(Field):
     E replaces each periodic coordinate u by the two coordinates $(\cos \pi u, \sin \pi u) / \pi$ of a circle of
     circumference 2, which leaves lengths along it as they are, and the others by themselves. So f and all of its
     derivatives agree at u = -1 and u = 1, whatever the weights. In time that is a loop, whose last instant is the first
-    again:
+    again; a shape given at one of its ends is so at both:
 
-        Periodic(SIREN(3, 2), time=True)           # a loop of surfaces
-        Periodic(SIREN(6, 1), axes=(0, 1, 2))      # surfaces that move in a cell that fills space
+        loop = Periodic(SIREN(3, 2), time=True)
+        field = solve(Morph({0.5: b, 1.0: a}), loop, at={0.0: a, 0.5: b}, until=1.0)
 
-    The box of a field whose space is periodic is its cell: its sides along the periodic axes are its longest.
+    In space it is a cell, such as that of a triply periodic surface, `Periodic(SIREN(6, 1), axes=(0, 1, 2))`: the box
+    of the field, whose sides along the periodic axes are its longest. What is given there has to repeat itself as well.
 
     Args:
         network: The network g. It has a coordinate of space more for every periodic axis, and two times for a loop.

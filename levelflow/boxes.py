@@ -119,6 +119,12 @@ class Box:
         """Whether each point lies in the box, (n,) booleans."""
         return ((x >= x.new_tensor(self.lower)) & (x <= x.new_tensor(self.upper))).all(1)
 
+    def wrapped(self, x: Float[Tensor, "n d"], axes: Sequence[int]) -> Float[Tensor, "n d"]:
+        """Points brought into the box along some axes, where what it holds repeats itself with its sides."""
+        lower, size = x.new_tensor(self.lower), x.new_tensor(self.size)
+        repeats = torch.tensor([i in axes for i in range(self.space)], device=x.device)
+        return torch.where(repeats, lower + torch.remainder(x - lower, size), x)
+
     def uniform(
         self, n: int, *, generator: torch.Generator, dtype: torch.dtype = torch.float64
     ) -> Float[Tensor, "n d"]:

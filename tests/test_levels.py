@@ -23,8 +23,9 @@ LEVELS = (
     ("fields", "optimising"),
     ("networks", "shapes", "minimising"),
     ("equations", "conditions", "elasticity", "extraction", "measures", "progress"),
-    ("motion", "rendering", "transported"),
-    ("flows",),
+    ("averaging", "rendering", "transported"),
+    ("motion",),
+    ("bending", "flows"),
     ("fitting", "solving", "evolution", "deformation", "filtering", "recovery"),
     ("saving", "export", "suite"),
     ("viewer",),
@@ -35,7 +36,7 @@ STEPS = {
     "cli": (("names",), ("lifting", "running", "showing", "taking", "viewing"), ("commands",)),
     "equations": (
         ("equation",),
-        ("curvature", "eikonal", "family", "morph", "regional", "stationary", "transport"),
+        ("curvature", "eikonal", "family", "morph", "regional", "stationary", "transport", "volume", "willmore"),
         ("described", "simplicial"),
     ),
     "export": (

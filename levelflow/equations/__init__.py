@@ -9,6 +9,8 @@ from levelflow.equations.regional import Regional
 from levelflow.equations.simplicial import SimplicialMorph
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
+from levelflow.equations.volume import VolumePreserving
+from levelflow.equations.willmore import Willmore
 
 __all__ = [
     "Constant",
@@ -27,4 +29,6 @@ __all__ = [
     "Transport",
     "Twist",
     "VelocityField",
+    "VolumePreserving",
+    "Willmore",
 ]

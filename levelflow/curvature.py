@@ -70,6 +70,26 @@ def gauss_curvature(jet: Jet) -> Float[Tensor, " n"]:
     return torch.einsum("ni,nij,nj->n", n, adjugate, n) / gradient_norm(jet) ** 2
 
 
+def squared_curvature(jet: Jet) -> Float[Tensor, " n"]:
+    r"""$k_1^2 + k_2^2 = \|P\,\nabla^2 f\,P\|^2 / |\nabla f|^2$, $P = I - n n^\top$, in 1 / length^2."""
+    n, h = normal(jet), jet.hessian
+    hn = (h * n[:, None]).sum(2)
+    square = (h * h).sum((1, 2)) - 2 * (hn * hn).sum(1) + (hn * n).sum(1) ** 2
+    return square / gradient_norm(jet) ** 2
+
+
+def surface_laplacian(jet: Jet, of: Jet) -> Float[Tensor, " n"]:
+    r"""The Laplacian of g along the level sets of f, $\Delta g - n^\top \nabla^2 g\, n - \kappa\, n \cdot \nabla g$.
+
+    Args:
+        jet: That of f, of order 2.
+        of: That of g, of order 2.
+    """
+    n, h = normal(jet), of.hessian
+    along = h.diagonal(dim1=1, dim2=2).sum(1) - ((h * n[:, None]).sum(2) * n).sum(1)
+    return along - total_curvature(jet) * (n * of.gradient).sum(1)
+
+
 def _tangential_laplacian(jet: Jet) -> Tensor:
     n = normal(jet)
     trace = jet.hessian.diagonal(dim1=1, dim2=2).sum(1)

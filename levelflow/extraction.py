@@ -87,21 +87,28 @@ def extract(
     grid = _Grid(field, box, resolution, level)
     cells = _crossed_cells(grid)
     if not len(cells):
-        seen = grid.values[~np.isnan(grid.values)] * grid.unit
-        sign, nearest = ("positive", "smallest") if seen[0] > 0 else ("negative", "greatest")
-        name = f"the field minus {level:g}" if level else "the field"
-        raise EmptyLevelSet(
-            f"extract(f): {name} is {sign} everywhere in the box from {box.lower} to {box.upper}: its values "
-            f"are between {seen.min():.6g} and {seen.max():.6g} at the {grid.evaluated} points seen "
-            f"(the {nearest} is nearest to a surface). The surface has vanished, lies outside the box, or is smaller "
-            "than a cell: widen `box`, raise `resolution` or choose another `level`."
-        )
+        raise _empty(grid, box)
     crossed = _follow(grid, cells)
     index, faces = _triangles(grid, crossed) if box.space == 3 else _segments(grid)
+    if not len(faces):
+        raise _empty(grid, box)
     if refine:
         index = _refined(grid, index, steps=refine)
     _warn_of_open_sides(grid, index)
     return Mesh(grid.points(index), faces)
+
+
+def _empty(grid: _Grid, box: Box) -> EmptyLevelSet:
+    """The error that says what was seen instead of a surface."""
+    seen, level = grid.values[~np.isnan(grid.values)] * grid.unit, grid.level
+    sign, nearest = ("positive", "smallest") if seen.max() > -seen.min() else ("negative", "greatest")
+    name = f"the field minus {level:g}" if level else "the field"
+    return EmptyLevelSet(
+        f"extract(f): {name} is {sign} everywhere in the box from {box.lower} to {box.upper}: its values "
+        f"are between {seen.min():.6g} and {seen.max():.6g} at the {grid.evaluated} points seen "
+        f"(the {nearest} is nearest to a surface). The surface has vanished, lies outside the box, or is smaller "
+        "than a cell: widen `box`, raise `resolution` or choose another `level`."
+    )
 
 
 class _Grid:

@@ -31,12 +31,15 @@ class Jet:
         first: (n, d + k, *m), the derivatives in space, then in time; absent in a jet of order 0.
         second: (n, d, d, *m), the second derivatives in space; absent below order 2.
         space: The number d of space coordinates.
+        curvature: The jet of a field that stands for the total curvature, beside that of f, where an equation of
+            fourth order needs it.
     """
 
     value: Tensor
     first: Tensor | None
     second: Tensor | None
     space: int
+    curvature: Jet | None = None
 
     @property
     def order(self) -> int:
@@ -63,7 +66,7 @@ class Jet:
     def along(self, i: int) -> Jet:
         """The jet in space and in one of the times or parameters, as if the others were fixed."""
         first = None if self.first is None else torch.cat([self.gradient, self.dt[:, i : i + 1]], dim=1)
-        return Jet(self.value, first, self.second, self.space)
+        return Jet(self.value, first, self.second, self.space, self.curvature)
 
     def affine(self, weight: Float[Tensor, "m_out m_in"], bias: Float[Tensor, " m_out"] | None = None) -> Jet:
         """The jet of W u + b."""

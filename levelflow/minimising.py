@@ -24,8 +24,8 @@ _BLOWN_UP = 1e4
 class Term(Protocol):
     """One part of a loss: where it is sampled, and what it charges there.
 
-    A term may have attributes `since` and `until`, the part of the budget in which it acts, and `memory`, tensors that
-    belong to its state.
+    A term may have attributes `since` and `until`, the part of the budget in which it acts, `spent`, which is set to
+    the part that is used up before each of its samples, and `memory`, tensors that belong to its state.
     """
 
     name: str
@@ -166,6 +166,8 @@ def minimise(
             if not getattr(term, "since", 0.0) <= progress.spent < getattr(term, "until", 1.0):
                 progress.losses.pop(term.name, None)
                 continue
+            if hasattr(term, "spent"):
+                term.spent = progress.spent
             loss = _accumulate(term, term.sample(generator), chunk)
             if not math.isfinite(loss):
                 _revert(parameters, good, f"step {progress.step + 1}: the loss of '{term.name}' is {loss:g}, no number")

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
+from levelflow.averaging import Averages
 from levelflow.boxes import Box
 from levelflow.conditions import BAND, Given, band_error, pick
 from levelflow.curvature import gradient_norm, total_curvature
 from levelflow.equations.equation import Equation
+from levelflow.equations.volume import VolumePreserving
 from levelflow.fields import Placed
+from levelflow.jets import Jet
 from levelflow.minimising import Batch
 
 
@@ -30,15 +34,27 @@ class Motion:
     name = "motion"
     weight, noise = 1.0, 0.01
     every, turnover, knee, near, bend = 10, 0.1, 0.1, 0.8, 0.1
+    ramp, spent = 0.0, 0.0
 
-    def __init__(self, placed: Placed, equation: Equation, *, n: int, since: float = 0.0) -> None:
+    def __init__(
+        self, placed: Placed, equation: Equation, *, n: int, since: float = 0.0, origin: float | None = None
+    ) -> None:
         self.placed, self.equation, self.n, self.since = placed, equation, n, since
         like = next(placed.parameters())
         self.memory = {"walkers": like.new_zeros(8 * n, placed.space + placed.times), "age": torch.zeros(1)}
+        self.averages = None
+        if isinstance(equation, VolumePreserving):
+            self.averages = Averages(placed, equation, placed.box.times[0][0] if origin is None else origin)
+            self.memory["means"] = self.averages.unknown
+            self.ramp = 0.4
 
     def sample(self, generator: torch.Generator) -> Batch:
         if self.memory["age"] % self.every == 0:
             self._walk(generator)
+        if self.averages is not None:
+            if self.memory["age"] % self.averages.every == 0:
+                self.memory["means"] = self.averages.measured(self.memory["means"], self.jet, generator)
+            self.equation = self.averages.known(self.memory["means"])
         self.memory["age"] += 1
         near, d = max(1, round(self.near * self.n)), self.placed.space
         (z,) = pick(near, self.memory["walkers"], generator=generator)
@@ -48,12 +64,28 @@ class Motion:
 
     def loss(self, *batch: Tensor) -> Tensor:
         (z,) = batch
+        return self.charge(z, self.jet(z))
+
+    def jet(self, z: Tensor) -> Jet:
+        """The jet that the equation sees, in the units of the file, at normalised points of space-time."""
+        d = self.placed.space
+        return self.placed.in_units(self.placed.field.jet(z[:, :d], z[:, d:], order=self.equation.order))
+
+    @property
+    def pace(self) -> float:
+        """By how much slower the motion runs than it is to in the end."""
+        return min(1.0, max(0.02, (self.spent - self.since) / self.ramp)) if self.ramp else 1.0
+
+    def charge(self, z: Tensor, jet: Jet) -> Tensor:
+        """The loss for the error of the equation, (n,)."""
         placed, d = self.placed, self.placed.space
         u, tau = z[:, :d], z[:, d:]
-        jet = placed.in_units(placed.field.jet(u, tau, order=self.equation.order))
         # In float64, for the sake of shapes far from the origin of their units.
         x, t = placed.box.frame.from_unit(u.double()), placed.times_in_units(tau.double())
-        error = self.equation.error(x, t, jet).reshape(len(z), -1).to(u.dtype)
+        pace = self.pace
+        if pace < 1 and jet.first is not None:
+            jet = replace(jet, first=torch.cat([jet.gradient, jet.dt / pace], dim=1))
+        error = pace * self.equation.error(x, t, jet).reshape(len(z), -1).to(u.dtype)
         error = error * self._scales(error)
         if self.equation.order > 1:
             bend = 1 + self.bend * placed.box.frame.scale * total_curvature(jet).detach().abs()

@@ -12,10 +12,12 @@ from dataclasses import asdict
 import torch
 from torch import Tensor
 
+from levelflow.bending import Agreement, Bending
 from levelflow.boxes import Box, interval
 from levelflow.conditions import BAND, NARROW, Given, Key, OffSurface, OnSurface, Sampling, surface_of
 from levelflow.equations.equation import Equation
 from levelflow.equations.family import Family
+from levelflow.equations.volume import VolumePreserving
 from levelflow.fields import Placed
 from levelflow.measures import accuracy
 from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
@@ -94,6 +96,10 @@ def solve(
         raise ValueError("solve: the network has 0 times; give one of space and time, SIREN(time=1).")
     instants = [_instant(key, network.times) for key in at]
     _check_driven(equation, instants, network.times)
+    if equation.averages and (network.times > 1 or not isinstance(equation, VolumePreserving)):
+        raise ValueError(
+            f"solve: {equation!r} keeps a volume in a part; put the whole inside, VolumePreserving(a + b)."
+        )
     intervals = _intervals(instants, until, network.times)
     if not 0 <= warm_up < 1:
         raise ValueError(f"solve(warm_up={warm_up:g}): give the part of the budget, at least 0 and below 1.")
@@ -134,6 +140,7 @@ def solve(
     smooths = equation.order > 1 and not sharpens and len(at) == 1 and not everywhere
     band, normal = (math.inf, 0.0) if everywhere else (NARROW, 0.001) if smooths else (BAND, 0.01)
     terms: list[Term] = []
+    parameters = list(field.parameters())
     for instant, samples in zip(instants, given, strict=True):
         now = tuple(field.unit_times(torch.tensor([instant], dtype=torch.float64))[0].tolist())
         terms.append(OnSurface(field.field, samples, now, n=math.ceil(on / len(at)), normal=normal))
@@ -151,10 +158,16 @@ def solve(
         held = given[0].where(functools.partial(_held, equation), box)
         if len(at) == 1 and len(held.near):
             terms.append(Held(field, [held], [0.0], n=n // 4, band=band))
-        kind = Diffusion if everywhere else Smoothing if smooths else Motion
-        terms.append(kind(field, equation, n=n, since=warm_up))
+        if equation.bends:
+            kappa = _for_curvature(field, generator)
+            parameters.extend(kappa.parameters())
+            terms.append(Agreement(field, equation, kappa, n=n, until=warm_up))
+            terms.append(Bending(field, equation, kappa, n=n, since=warm_up, origin=instants[0][0]))
+        else:
+            motion = Diffusion if everywhere else Smoothing if smooths else Motion
+            terms.append(motion(field, equation, n=n, since=warm_up, origin=instants[0][0]))
     try:
-        progress = minimise(field.parameters(), terms, budget=budget, generator=generator, on_step=on_step, state=state)
+        progress = minimise(parameters, terms, budget=budget, generator=generator, on_step=on_step, state=state)
     except Divergence as error:
         error.field = field
         raise
@@ -174,6 +187,17 @@ def solve(
         },
     }
     return field
+
+
+def _for_curvature(field: Placed, generator: torch.Generator) -> SIREN:
+    """A network for the curvature of a field, like that of the field itself."""
+    network = field.field
+    assert isinstance(network, SIREN)
+    kappa = SIREN(
+        network.space, network.times, width=network.width, depth=network.depth, omega=network.omega,
+        generator=generator, dtype=field.dtype,
+    )  # fmt: skip
+    return kappa.to(field.device)
 
 
 def _instant(key: Instant, k: int) -> tuple[float, ...]:

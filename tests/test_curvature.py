@@ -15,10 +15,12 @@ from levelflow.curvature import (
     mean_curvature,
     normal,
     principal_curvatures,
+    squared_curvature,
+    surface_laplacian,
     total_curvature,
 )
 from levelflow.jets import Jet
-from tests.fields import Explicit, siren
+from tests.fields import Explicit, points, siren
 
 Function = Callable[[Tensor], Tensor]
 
@@ -155,3 +157,20 @@ def test_gauss_curvature_needs_a_surface_in_space() -> None:
     jet = jet_of(lambda x: x.norm(dim=1), torch.ones(1, 2, dtype=torch.float64))
     with pytest.raises(ValueError, match="the jet has 2 space coordinates; Gauss curvature needs 3"):
         gauss_curvature(jet)
+
+
+def test_squared_curvature_is_the_sum_of_the_squares() -> None:
+    field = Explicit(lambda x, t: (x**4).sum(1) + x[:, 0] * x[:, 1] - 0.4, 3)
+    x, _ = points(field, 50)
+    jet = field.jet(x, order=2)
+    squares = (principal_curvatures(jet) ** 2).sum(1)
+    assert torch.allclose(squared_curvature(jet), squares, rtol=1e-9)
+
+
+def test_the_surface_laplacian_of_a_harmonic_on_a_sphere_is_that_of_its_degree() -> None:
+    sphere = Explicit(lambda x, t: (x * x).sum(1) - 0.3, 3)
+    # x y / r^2 is a spherical harmonic of degree 2, whatever it does across the spheres.
+    harmonic = Explicit(lambda x, t: x[:, 0] * x[:, 1] * (1 + 3 * (x * x).sum(1)), 3)
+    x, _ = points(sphere, 50)
+    found = surface_laplacian(sphere.jet(x, order=2), harmonic.jet(x, order=2))
+    assert torch.allclose(found, -6 * harmonic(x) / (x * x).sum(1), rtol=1e-9)

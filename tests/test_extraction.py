@@ -259,3 +259,8 @@ def test_a_field_far_from_zero_has_an_empty_level_set_at_any_resolution(space):
     box = Box((-1.0,) * space, (1.0,) * space)
     with pytest.raises(EmptyLevelSet, match="positive everywhere"):
         extract(lambda x: 10 + x[:, 0], box=box, resolution=256 if space == 2 else 64)
+
+
+def test_a_surface_that_is_a_single_point_counts_as_vanished() -> None:
+    with pytest.raises(EmptyLevelSet, match="is positive everywhere"):
+        extract(lambda x: x.norm(dim=1), resolution=8, box=Box((-1.0, -1.0), (1.0, 1.0)))

@@ -10,6 +10,8 @@ from levelflow.equations.regional import Regional
 from levelflow.equations.simplicial import SimplicialMorph
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
+from levelflow.equations.volume import VolumePreserving
+from levelflow.equations.willmore import Willmore
 
 __all__ = [
     "Constant",
@@ -29,4 +31,6 @@ __all__ = [
     "Transport",
     "Twist",
     "VelocityField",
+    "VolumePreserving",
+    "Willmore",
 ]

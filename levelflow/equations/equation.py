@@ -24,6 +24,8 @@ class Equation(ABC):
         is_rate: Whether its error is a rate of the values of f, in length per unit time. All values take part then, and
             not the zero set alone.
         sharpens: Whether it is ill-posed backwards in time.
+        bends: Whether it needs derivatives of the curvature, `Jet.curvature`.
+        averages: Whether it needs means over the whole surface; it is then to be the whole equation.
         parameter: Which of the times or parameters of the field it moves with, from 0.
     """
 
@@ -31,6 +33,8 @@ class Equation(ABC):
     is_speed: bool = False
     is_rate: bool = False
     sharpens: bool = False
+    bends: bool = False
+    averages: bool = False
     parameter: int = 0
 
     @abstractmethod
@@ -126,6 +130,8 @@ class Motions(LevelSetEquation):
         self.motions = motions
         self.order = max(motion.order for motion in motions)
         self.sharpens = any(motion.sharpens for motion in motions)
+        self.bends = any(motion.bends for motion in motions)
+        self.averages = any(motion.averages for motion in motions)
 
     def __repr__(self) -> str:
         return " + ".join(map(repr, self.motions))
@@ -147,6 +153,8 @@ class Together(Equation):
         self.equations = equations
         self.order = max(equation.order for equation in equations)
         self.sharpens = any(equation.sharpens for equation in equations)
+        self.bends = any(equation.bends for equation in equations)
+        self.averages = any(equation.averages for equation in equations)
         driven = [column.parameter for column in self.columns if column.is_speed or column.is_rate]
         if len(driven) > len(set(driven)):
             raise ValueError(f"{self!r}: two motions for one parameter; a Family has one for each: Family(a + b, c).")

@@ -38,6 +38,8 @@ class Family(Equation):
         self.motions = motions
         self.order = max(motion.order for motion in motions)
         self.sharpens = any(motion.sharpens for motion in motions)
+        self.bends = any(motion.bends for motion in motions)
+        self.averages = any(motion.averages for motion in motions)
 
     def __repr__(self) -> str:
         return f"Family({', '.join(map(repr, self.motions))})"
@@ -69,7 +71,7 @@ class Along(Equation):
 
     def __init__(self, motion: LevelSetEquation, parameter: int) -> None:
         self.motion, self.parameter = motion, parameter
-        self.order, self.sharpens = motion.order, motion.sharpens
+        self.order, self.sharpens, self.bends = motion.order, motion.sharpens, motion.bends
 
     def __repr__(self) -> str:
         return repr(self.motion)

@@ -1,0 +1,1 @@
+"""Flows that move the vertices of a mesh."""

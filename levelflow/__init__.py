@@ -35,10 +35,12 @@ _HOMES = {
     "Map": "fields",
     "Mesh": "shapes",
     "MeshWarning": "shapes",
+    "Periodic": "networks.periodic",
     "Placed": "fields",
     "PointCloud": "shapes",
     "Polygon": "shapes",
     "Rectangle": "shapes",
+    "Retimed": "retimed",
     "Rotated": "shapes",
     "SIREN": "networks.siren",
     "Sampling": "conditions",
@@ -74,9 +76,11 @@ if TYPE_CHECKING:
     from levelflow.networks.invertible import Inverse, InvertibleResNet
     from levelflow.networks.lifting import lift
     from levelflow.networks.lipschitz import LipschitzMLP
+    from levelflow.networks.periodic import Periodic
     from levelflow.networks.siren import SIREN, sliced
     from levelflow.progress import Bar
     from levelflow.rendering import Camera, contact_sheet, film, image
+    from levelflow.retimed import Retimed
     from levelflow.saving import Checkpoint, load, save
     from levelflow.shapes import (
         Capsule,

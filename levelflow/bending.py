@@ -17,15 +17,15 @@ from levelflow.motion import Smoothing
 class Agreement(Smoothing):
     """A second network for the curvature of the moving surface, with which equations of fourth order stay of second.
 
-    It is to agree with the curvature of the field near the moving surface; what it is elsewhere does not matter, and
-    the field is not to agree with it: then the surface would lose what the network cannot hold. Alone this term prepares it before the equation acts: speeds from a network that knows nothing yet would tear the surface.
+    It is to agree with the curvature of the field near the moving surface; what it is elsewhere does not matter. Alone
+    this term prepares it before the equation acts: speeds from a network that knows nothing yet would tear the surface.
 
     Args:
         kappa: The network of the total curvature, in normalised units and a tenth of its size.
     """
 
     name = "curvature"
-    size = 10.0
+    weight, noise, bend, size = 2.0, 0.01, 0.03, 10.0
 
     def __init__(
         self,
@@ -55,8 +55,8 @@ class Agreement(Smoothing):
 
     def disagreement(self, jet: Jet, kappa: Tensor) -> Tensor:
         """The loss for the difference between the curvature of f and the value of the network, (n,)."""
-        truth, scale = total_curvature(jet).detach(), self.placed.box.frame.scale
-        error = (kappa - truth * scale / self.size) / (1 + self.bend * scale * truth.abs())
+        truth, scale = total_curvature(jet), self.placed.box.frame.scale
+        error = (kappa - truth * scale / self.size) / (1 + self.bend * scale * truth.detach().abs())
         loss = self.knee**2 * torch.log1p((error / self.knee) ** 2)
         return torch.where(gradient_norm(jet) > 0.05, loss, 0.0)
 
@@ -65,7 +65,7 @@ class Bending(Agreement):
     """An equation of fourth order, and the agreement of its second network with the field."""
 
     name = "motion"
-    weight, bond, ramp = 2.0, 100.0, 0.4
+    bond, ramp = 3.0, 0.4
 
     def loss(self, *batch: Tensor) -> Tensor:
         (z,) = batch

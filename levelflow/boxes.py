@@ -100,6 +100,11 @@ class Box:
         """The box with every side moved out by `margin`, a length in the units of the box."""
         return Box(tuple(a - margin for a in self.lower), tuple(b + margin for b in self.upper), self.times)
 
+    def cube(self) -> Box:
+        """The cube about the same centre whose sides are as long as the longest side of the box."""
+        half = max(self.size) / 2
+        return Box(tuple(c - half for c in self.center), tuple(c + half for c in self.center), self.times)
+
     def during(self, *times: tuple[float, float]) -> Box:
         """The same box in space with the given time intervals."""
         return Box(self.lower, self.upper, times)
@@ -118,6 +123,12 @@ class Box:
     def contains(self, x: Float[Tensor, "n d"]) -> Tensor:
         """Whether each point lies in the box, (n,) booleans."""
         return ((x >= x.new_tensor(self.lower)) & (x <= x.new_tensor(self.upper))).all(1)
+
+    def wrapped(self, x: Float[Tensor, "n d"], axes: Sequence[int]) -> Float[Tensor, "n d"]:
+        """Points brought into the box along some axes, where what it holds repeats itself with its sides."""
+        lower, size = x.new_tensor(self.lower), x.new_tensor(self.size)
+        repeats = torch.tensor([i in axes for i in range(self.space)], device=x.device)
+        return torch.where(repeats, lower + torch.remainder(x - lower, size), x)
 
     def uniform(
         self, n: int, *, generator: torch.Generator, dtype: torch.dtype = torch.float64

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,10 +90,20 @@ class Given:
     value: Callable[[Tensor], Tensor]
 
     @classmethod
-    def of(cls, key: Key, box: Box, *, n: int, generator: torch.Generator, like: Tensor) -> Given:
+    def of(
+        cls,
+        key: Key,
+        box: Box,
+        *,
+        n: int,
+        generator: torch.Generator,
+        like: Tensor,
+        periodic: Sequence[int] = (),
+    ) -> Given:
         """Draws n surface samples and n values; samples have the dtype and device of `like`.
 
-        For a shape without a distance, such as a point cloud, values are estimated from the surface samples.
+        For a shape without a distance, such as a point cloud, values are estimated from the surface samples. Along the
+        axes that are `periodic` all repeats itself with the box: points beyond have the values of those within.
         """
         frame = box.frame
         surface = surface_of(key)
@@ -102,12 +112,16 @@ class Given:
             value = value_of(key)
         else:
             value = _estimated_distance(drawn.points, drawn.normals)
+        if periodic:
+            value = _repeated(value, box, periodic)
         points = frame.to_unit(drawn.points)
         spread = points.new_full((3 * n // 4, 1), 0.02)
         spread[n // 2 :] = 0.1
         near = points[: len(spread)] + spread * torch.randn(
             len(spread), box.space, generator=generator, dtype=points.dtype
         )
+        if periodic:
+            near = frame.to_unit(box.wrapped(frame.from_unit(near), periodic))
         near = near[box.contains(frame.from_unit(near))]
         if not len(near):
             raise ValueError(
@@ -212,6 +226,11 @@ def box_around(boxes: Iterable[Box]) -> Box:
     first, *others = boxes
     union = first.union(*others)
     return union.expanded(MARGIN * max(union.size))
+
+
+def _repeated(value: Callable[[Tensor], Tensor], box: Box, axes: Sequence[int]) -> Callable[[Tensor], Tensor]:
+    """Values that are known in a box, repeated with it along some axes."""
+    return lambda x: value(box.wrapped(x, axes))
 
 
 def _estimated_distance(

@@ -91,9 +91,9 @@ def evolve(
     Vertices x move by the displacement D(x) of the flow in the time dt, and the network is trained, from where it is,
     towards the distance of the moved mesh. To first order that is the step of the level-set equation,
     $f - \langle \nabla f, D\rangle$ on the surface; beyond it, it is exact for motions along the surface and for
-    rotations too, and the field stays a distance, $|\nabla f| = 1$, so that it can be evolved again. What the moved mesh
-    has inside of it by its winding number counts as inside: bodies that run into each other become one, and necks
-    thinner than a cell of the extraction break.
+    rotations too, and the field stays a distance, $|\nabla f| = 1$, so that it can be evolved again. What the moved
+    mesh winds around counts as inside: bodies that run into each other become one, and necks thinner than a cell of
+    the extraction break.
 
     Training goes on in rounds until the surface follows within the tolerance. Where it does not, the step of time is
     halved, up to eight times.
@@ -150,7 +150,8 @@ def _begun(field: Placed, box: Box | None) -> tuple[list[Field], list[float], Pl
     if not isinstance(field, Placed) or not all(isinstance(n, SIREN) and not n.times for n in networks):
         raise TypeError(
             "evolve: a field of static networks in a box is needed, such as one from fit, or an evolution to go on "
-            f"with; this is a {type(field).__name__}" + (f" of a {type(inner).__name__}." if inner is not field else ".")
+            f"with; this is a {type(field).__name__}"
+            + (f" of a {type(inner).__name__}." if inner is not field else ".")
         )
     times = [0.0]
     if isinstance(inner, Keyframed):

@@ -55,9 +55,13 @@ class Field(Map):
 
     Attributes:
         box: Where the field stands for a surface, in the units of its points; None if it is not known.
+        periodic: The axes of space along which it repeats itself with the sides of its box.
+        loops: Whether the last of its times is the first again.
     """
 
     box: Box | None = None
+    periodic: tuple[int, ...] = ()
+    loops: bool = False
 
     @property
     def device(self) -> torch.device:
@@ -111,6 +115,7 @@ class Slice(Field):
         self.t = tuple(None if value is None else float(value) for value in t)
         self.space, self.times = field.space, self.t.count(None)
         self.box = None if field.box is None else _sliced(field.box, self.t)
+        self.periodic, self.loops = field.periodic, field.loops and None in self.t
 
     def push(self, jet: Jet) -> Jet:
         free = [*range(self.space), *(self.space + i for i, value in enumerate(self.t) if value is None)]
@@ -190,6 +195,7 @@ class Placed(Field):
         self.field = field
         self.box: Box = box
         self.space, self.times = field.space, field.times
+        self.periodic, self.loops = field.periodic, field.loops
         self.provenance: dict[str, Any] = {}
 
     @property

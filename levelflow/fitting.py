@@ -14,12 +14,13 @@ from levelflow.conditions import Given, OffSurface, OnSurface, Sampling, box_aro
 from levelflow.fields import Field, Placed
 from levelflow.measures import accuracy
 from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
+from levelflow.networks.periodic import Periodic, check_cell
 from levelflow.networks.siren import SIREN
 from levelflow.shapes.shape import Shape
 
 
 def fit(
-    network: SIREN,
+    network: SIREN | Periodic,
     shape: Shape | Field,
     *,
     box: Box | None = None,
@@ -38,6 +39,7 @@ def fit(
         network: A static network of the space of the shape; it is not changed.
         shape: What to fit.
         box: Where the field is to be valid, in the units of the shape; the box of the shape and a margin if left out.
+            The cell of a network that is periodic in space must be given.
         budget: Steps, or seconds, of training.
         sampling: How many samples a step draws.
         seed: Of every random choice.
@@ -61,11 +63,12 @@ def fit(
             f"fit: the network has {network.space} space coordinates, the shape has {shape.box.space}; "
             f"give SIREN({shape.box.space})."
         )
+    check_cell(network, box, call="fit")
     box = (box or box_around([shape.box])).during()
     field = Placed(copy.deepcopy(network), box)
     generator = torch.Generator().manual_seed(seed)
     like = next(field.parameters())
-    given = Given.of(shape, box, n=sampling.given, generator=generator, like=like)
+    given = Given.of(shape, box, n=sampling.given, generator=generator, like=like, periodic=network.periodic)
     _, on, off = sampling.counts()
     on, off = round(sampling.n * on / (on + off)), round(sampling.n * off / (on + off))
     terms: list[Term] = [OnSurface(field.field, given, (), n=on), OffSurface(field.field, given, (), n=off)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from jaxtyping import Float
@@ -55,7 +55,8 @@ class Keyframed(Field):
         d = self.space
 
         def part(i: int, rows: Tensor) -> Jet:
-            mine = Jet(*(None if p is None else p[rows] for p in (jet.value, jet.first, jet.second)), jet.space)
+            first, second = (None if p is None else p[rows] for p in (jet.first, jet.second))
+            mine = Jet(jet.value[rows], first, second, jet.space)
             before, after = (self._field(j).push(mine.components(0, d)) for j in (i, i + 1))
             length = self.knots[i + 1] - self.knots[i]
             time = mine.component(d)
@@ -89,7 +90,7 @@ class Keyframed(Field):
             first = torch.cat([first, rate[:, None]], dim=1)
         return Jet(value, first, second, self.space)
 
-    def _gathered(self, t: Tensor, part) -> Jet:
+    def _gathered(self, t: Tensor, part: Callable[[int, Tensor], Jet]) -> Jet:
         """The jets of the points of each interval, put together in the order of the points."""
         knots = t.new_tensor(self.knots)
         interval = (torch.searchsorted(knots, t.contiguous(), right=True) - 1).clamp(0, len(knots) - 2)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from levelflow.averaging import Averages
+from levelflow.boxes import Box
 from levelflow.conditions import BAND, Given, band_error, pick
 from levelflow.curvature import gradient_norm, total_curvature
 from levelflow.equations.equation import Equation
@@ -112,12 +113,15 @@ class Motion:
         self.memory["walkers"] = torch.where(away[:, None].to(walkers.device), afresh, walkers)
 
     def _newton(self, z: Tensor) -> Tensor:
-        """One step of at most 0.3 towards the zero set, at fixed time."""
+        """One step of at most 0.3 towards the zero set, at fixed time; out on one side of a cell, in on the other."""
         d = self.placed.space
         jet = self.placed.field.jet(z[:, :d], z[:, d:], order=1)
         step = (jet.value / (gradient_norm(jet) ** 2).clamp_min(1e-4))[:, None] * jet.gradient
         step = step * (0.3 / torch.linalg.vector_norm(step, dim=1, keepdim=True).clamp_min(0.3))
-        return torch.cat([z[:, :d] - step, z[:, d:]], dim=1)
+        x = z[:, :d] - step
+        if self.placed.periodic:
+            x = Box((-1,) * d, (1,) * d).wrapped(x, self.placed.periodic)
+        return torch.cat([x, z[:, d:]], dim=1)
 
     def _anywhere(self, n: int, generator: torch.Generator) -> Tensor:
         like = self.memory["walkers"]
@@ -211,7 +215,8 @@ class Blend:
     """Values at every time between those of the given shapes, linear in time: where training starts from.
 
     A single shape stands still, which is the initialisation of the paper; two give the plain morph of their distances.
-    It needs no derivatives, and so is several times cheaper than the equation.
+    In a loop they go on from the last shape to the first. It needs no derivatives, and so is several times cheaper than
+    the equation.
 
     Reference:
         Novello et al., Neural Implicit Surface Evolution, ICCV 2023, Sec. 4.4.
@@ -248,6 +253,11 @@ class Blend:
         order = sorted(range(len(times)), key=lambda i: times[i])
         self.values = torch.stack([columns[i] for i in order], dim=1)
         self.times = torch.tensor([times[i] for i in order], dtype=torch.float64)
+        if placed.loops:
+            ((start, end),) = placed.box.times
+            before, after = self.times[-1:] - (end - start), self.times[:1] + (end - start)
+            self.times = torch.cat([before, self.times, after])
+            self.values = torch.cat([self.values[:, -1:], self.values, self.values[:, :1]], dim=1)
 
     def sample(self, generator: torch.Generator) -> Batch:
         x, values = pick(self.n, self.points, self.values, generator=generator)

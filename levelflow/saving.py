@@ -18,34 +18,45 @@ from levelflow.fields import Deformed, Field, Map, Placed, Slice
 from levelflow.minimising import Progress
 from levelflow.networks.invertible import Inverse, InvertibleResNet
 from levelflow.networks.lipschitz import LipschitzMLP
+from levelflow.networks.periodic import Periodic
 from levelflow.networks.siren import SIREN
+from levelflow.retimed import Retimed
 from levelflow.shapes.writing import replace_file
 from levelflow.transported import Transported
 
-FORMAT = 2
+FORMAT = 3
 _KEY = "levelflow"
 _VELOCITIES: dict[str, Any] = {kind.__name__: kind for kind in (Constant, Rotation, Twist, Source)}
 _NETWORKS: dict[str, Any] = {kind.__name__: kind for kind in (SIREN, LipschitzMLP, InvertibleResNet)}
 
 
-def save(field: Placed | Transported, path: str | Path) -> None:
+Saved = Placed | Transported | Retimed
+"""What can be saved."""
+
+
+def save(field: Saved, path: str | Path) -> None:
     """Writes a field to a safetensors file whose header rebuilds it: architecture, box, times and provenance.
 
     Networks are placed in a box, deformed by invertible networks or their inverses if they are. A `Transported` field
-    is the field that is carried and the velocities that carry it. The file appears whole or not at all. The same field
-    gives the same bytes.
+    is the field that is carried and the velocities that carry it, and a `Retimed` field one of these with its keys. The
+    file appears whole or not at all. The same field gives the same bytes.
 
     Raises:
         TypeError: If the field is not made of networks of this library, or not placed, or is carried by something else
             than the velocity fields of this library.
         OSError: If the file cannot be written.
     """
-    carried = field.shape if isinstance(field, Transported) else field
+    layers: list[Any] = [field]
+    while type(layers[-1]) is Retimed:
+        layers.append(layers[-1].field)
+    *retimed, moving = layers
+    carried = moving.shape if isinstance(moving, Transported) else moving
     if not isinstance(carried, Placed):
-        what = type(field).__name__ + (f" of a {type(carried).__name__}" if carried is not field else "")
+        kinds = [type(part).__name__ for part in (*layers, *([] if carried is moving else [carried]))]
         raise TypeError(
-            f"save: cannot write a {what}; fields from fit and solve, their slices, and fields from fit that are "
-            "Transported can be saved, and networks that are given a box, Placed(network, box)."
+            f"save: cannot write a {' of a '.join(kinds)}; fields from fit and solve, their slices, fields from fit "
+            "that are Transported, and any of these Retimed can be saved, and networks that are given a box, "
+            "Placed(network, box)."
         )
     header: dict[str, Any] = {
         "kind": "field",
@@ -53,18 +64,23 @@ def save(field: Placed | Transported, path: str | Path) -> None:
         "box": _described(carried.box),
         "provenance": field.provenance,
     }
-    if isinstance(field, Transported):
+    if isinstance(moving, Transported):
         header["transported"] = {
-            "velocities": _velocities(field),
-            "box": _described(field.box),
-            "time": field.time,
-            "steps": field.steps,
+            "velocities": _velocities(moving),
+            "box": _described(moving.box),
+            "time": moving.time,
+            "steps": moving.steps,
             "shape": carried.provenance,
         }
+    if retimed:
+        header["retimed"] = [
+            {"keys": list(layer.keys.items()), "ease": layer.ease, "field": layer.field.provenance}
+            for layer in reversed(retimed)
+        ]
     _write(path, {name: value.detach().cpu().clone() for name, value in carried.field.state_dict().items()}, header)
 
 
-def load(path: str | Path) -> Placed | Transported:
+def load(path: str | Path) -> Saved:
     """Reads a field written by `save`. Nothing in the file is executed.
 
     Raises:
@@ -76,13 +92,16 @@ def load(path: str | Path) -> Placed | Transported:
     try:
         network = _field(header["network"])
         network.load_state_dict(tensors, assign=True)
-        field: Placed | Transported = Placed(network, _box(header["box"]))
+        field: Saved = Placed(network, _box(header["box"]))
         if (carried := header.get("transported")) is not None:
             field.provenance = dict(carried["shape"])
             field = Transported(
                 Transport(_velocity(carried["velocities"])), field, box=_box(carried["box"]), time=carried["time"],
                 steps=carried["steps"],
             )  # fmt: skip
+        for clock in header.get("retimed", ()):
+            field.provenance = dict(clock["field"])
+            field = Retimed(field, dict(clock["keys"]), ease=clock["ease"])
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"load: the header of {path.name!r} does not describe its content: {error}.") from None
     field.provenance = dict(header.get("provenance", {}))
@@ -103,7 +122,8 @@ def _composition(made: Map) -> dict[str, Any]:
     kind: dict[str, Any] = {"type": type(made).__name__}
     refusal = TypeError(
         f"save: cannot write a {type(made).__name__}, since files hold no code; {', '.join(_NETWORKS)}, and what "
-        "Inverse, Deformed, Slice and Placed make of them, can be saved. Distil the field into a network with fit."
+        "Periodic, Inverse, Deformed, Slice and Placed make of them, can be saved. Distil the field into a network "
+        "with fit."
     )
     if not type(made).__module__.startswith("levelflow."):
         raise refusal  # a subclass from elsewhere, of whose code the file would know nothing
@@ -115,6 +135,8 @@ def _composition(made: Map) -> dict[str, Any]:
         case InvertibleResNet():
             own = {"blocks": len(made.blocks), "frequencies": made.frequencies}
             return kind | _sizes(made) | own | {"omega": made.omega, "lipschitz": made.lipschitz}
+        case Periodic():
+            return kind | {"network": _composition(made.network), "axes": made.periodic, "time": made.loops}
         case Inverse():
             return kind | {"network": _composition(made.network), "tolerance": made.tolerance}
         case Deformed():
@@ -136,6 +158,11 @@ def _composed(described: Mapping[str, Any]) -> Map:
     match described["type"]:
         case kind if kind in _NETWORKS:
             return cast(Map, _NETWORKS[kind](**arguments))
+        case "Periodic":
+            inner = _composed(arguments["network"])
+            if not isinstance(inner, SIREN | LipschitzMLP):
+                raise ValueError(f"it has a {type(inner).__name__} that is periodic")
+            return Periodic(inner, axes=arguments["axes"], time=arguments["time"])
         case "Inverse":
             network = _composed(arguments["network"])
             if not isinstance(network, InvertibleResNet):

@@ -22,6 +22,7 @@ from levelflow.measures import accuracy
 from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
 from levelflow.motion import Blend, Carried, Motion, Smoothing
 from levelflow.networks.lifting import lift, replaced
+from levelflow.networks.periodic import Periodic, check_cell
 from levelflow.networks.siren import SIREN
 from levelflow.transported import reach, reach_of_family
 
@@ -34,7 +35,7 @@ Until = float | Sequence[float] | Sequence[float | Sequence[float] | None] | Non
 
 def solve(
     equation: Equation,
-    network: SIREN,
+    network: SIREN | Periodic,
     *,
     at: Mapping[float, Key] | Mapping[Instant, Key],
     until: Until = None,
@@ -55,7 +56,8 @@ def solve(
 
     Args:
         equation: The motion, in the units of the shapes.
-        network: A network of space and one time, or several parameters; it is not changed.
+        network: A network of space and one time, or several parameters; it is not changed. One that is `Periodic` in
+            time makes a loop of the interval: what is given at one of its ends is so at both.
         at: The shapes or static fields given, by their times. With k parameters a tuple of k numbers says where a shape
             is given, with None in the place of those for all of whose values it is: {(0.0, None): shape}.
         until: The other end of the time interval, or both ends; the interval always contains the times of `at`. Time
@@ -64,7 +66,8 @@ def solve(
         start: A field to start from, such as one fitted to the first shape, or a motion to go on from: its network,
             lifted to space-time and to the width and depth of `network`, replaces that one, frequency and all.
         box: Where the field is to be valid, in the units of the shapes. If left out, the box of the shapes, carried
-            along with the motion where that is possible, and a margin. Its times are not used.
+            along with the motion where that is possible, and a margin. Its times are not used. The cell of a network
+            that is periodic in space must be given.
         budget: Steps, or seconds, of training.
         sampling: How many samples a step draws, and of which kinds.
         warm_up: The part of the budget in which the equation is not yet asked for, only its simplest guess: the given
@@ -80,7 +83,7 @@ def solve(
 
     Raises:
         TypeError: If what is given is neither a shape nor a field.
-        ValueError: If there is no time interval, or the network does not fit.
+        ValueError: If there is no time interval, the network does not fit, or shapes are given at both ends of a loop.
         Divergence: If training fails; its `field` is the last good one.
 
     Reference:
@@ -94,11 +97,14 @@ def solve(
     _check_driven(equation, instants, network.times)
     if equation.averages and (network.times > 1 or not isinstance(equation, VolumePreserving)):
         raise ValueError(
-            f"solve: {equation!r} keeps a volume in a part; put the whole inside, VolumePreserving(a + b)."
+            f"solve: {equation!r} keeps the volume in one part only; put everything inside, VolumePreserving(a + b)."
         )
     intervals = _intervals(instants, until, network.times)
     if not 0 <= warm_up < 1:
         raise ValueError(f"solve(warm_up={warm_up:g}): give the part of the budget, at least 0 and below 1.")
+    if network.loops:
+        _check_loop(instants, intervals[0])
+    check_cell(network, box, call="solve")
     surfaces = [surface_of(key) for key in at.values()]
     if spaces := {surface.box.space for surface in surfaces} - {network.space}:
         raise ValueError(
@@ -116,15 +122,23 @@ def solve(
                 f"bound. It is trained back to t = {first:g}; keep such intervals short.",
                 stacklevel=2,
             )
-    if box is None and network.times == 1 and not isinstance(equation, Family):
-        box = reach(equation, {t: s for (t,), s in zip(instants, surfaces, strict=True)}, intervals[0])
-    box = (box or reach_of_family(equation, surfaces, instants, intervals)).during(*intervals)
+    if box is None:
+        if network.times == 1 and not isinstance(equation, Family):
+            box = reach(equation, {t: s for (t,), s in zip(instants, surfaces, strict=True)}, intervals[0])
+        else:
+            box = reach_of_family(equation, surfaces, instants, intervals)
+        if equation.averages or equation.bends:
+            box = box.cube()  # such a surface may grow where it was thin
+    box = box.during(*intervals)
     generator = torch.Generator().manual_seed(seed)
     if start is not None:
         network = _lifted(start, network, box, generator)
     field = Placed(copy.deepcopy(network), box)
     like = next(field.parameters())
-    given = [Given.of(key, box, n=sampling.given, generator=generator, like=like) for key in at.values()]
+    given = [
+        Given.of(key, box, n=sampling.given, generator=generator, like=like, periodic=network.periodic)
+        for key in at.values()
+    ]
     n, on, off = sampling.counts()
     smooths = equation.order > 1 and not sharpens and len(at) == 1
     band, normal = (NARROW, 0.001) if smooths else (BAND, 0.01)
@@ -178,7 +192,11 @@ def solve(
 def _for_curvature(field: Placed, generator: torch.Generator) -> SIREN:
     """A network for the curvature of a field, like that of the field itself."""
     network = field.field
-    assert isinstance(network, SIREN)
+    if not isinstance(network, SIREN):
+        raise ValueError(
+            f"solve: a motion of fourth order has a second network like the first, which must be a SIREN; this is a "
+            f"{type(network).__name__}."
+        )
     kappa = SIREN(
         network.space, network.times, width=network.width, depth=network.depth, omega=network.omega,
         generator=generator, dtype=field.dtype,
@@ -217,6 +235,16 @@ def _check_driven(equation: Equation, instants: Sequence[tuple[float, ...]], k: 
             )
 
 
+def _check_loop(instants: Sequence[tuple[float, ...]], ends: tuple[float, float]) -> None:
+    """Refuses shapes at both ends of a loop, which are one instant."""
+    if {*ends} <= {t for (t,) in instants}:
+        first, last = ends
+        raise ValueError(
+            f"solve: in a loop t = {first:g} and t = {last:g} are the same instant, and a shape is given at both; give "
+            f"it at one of them, {{{first:g}: shape}}, and the other by until={last:g}."
+        )
+
+
 def _intervals(instants: Sequence[tuple[float, ...]], until: Until, k: int) -> list[tuple[float, float]]:
     """The interval of each time or parameter."""
     ends = [until] if k == 1 else list(until) if isinstance(until, Sequence) else [until] * k
@@ -240,8 +268,13 @@ def _filled(instants: Sequence[tuple[float, ...]], intervals: Sequence[tuple[flo
     return [tuple(m if math.isnan(t) else t for t, m in zip(instant, middles, strict=True)) for instant in instants]
 
 
-def _lifted(start: Placed, network: SIREN, box: Box, generator: torch.Generator) -> SIREN:
+def _lifted(start: Placed, network: SIREN | Periodic, box: Box, generator: torch.Generator) -> SIREN:
     """The network of a field, lifted to space-time, to the size of another network and to another box."""
+    if not isinstance(network, SIREN):
+        raise ValueError(
+            f"solve(start=...): a {type(network).__name__} cannot be lifted from another network; leave start out, or "
+            f"give SIREN({network.space}, {network.times})."
+        )
     inner = start.field if isinstance(start, Placed) else None
     fits = isinstance(inner, SIREN) and inner.space == network.space and inner.times in (0, network.times)
     if not isinstance(inner, SIREN) or not fits or inner.depth > network.depth or inner.width > network.width:

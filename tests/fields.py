@@ -14,7 +14,9 @@ from levelflow.jets import Jet
 from levelflow.networks.invertible import Inverse, InvertibleResNet
 from levelflow.networks.lifting import lift
 from levelflow.networks.lipschitz import LipschitzMLP
+from levelflow.networks.periodic import Periodic
 from levelflow.networks.siren import SIREN
+from levelflow.retimed import Retimed
 
 
 class Explicit(Field):
@@ -128,6 +130,11 @@ def placed(space: int, time: int = 0) -> Placed:
     return Placed(siren(space, time), box)
 
 
+def periodic(space: int, time: int = 0, *, axes: tuple[int, ...] = (), loop: bool = False) -> Periodic:
+    """A small network in float64 that repeats itself."""
+    return Periodic(siren(space + len(axes), time + loop, omega=8.0), axes=axes, time=loop)
+
+
 def round_field(x: Tensor, t: Tensor) -> Tensor:
     return (x * x).sum(1) * (1 + t.sum(1)) + torch.sin(x[:, 0]) - 0.3
 
@@ -163,6 +170,19 @@ FIELDS: dict[str, Field] = {
     "carried by a network, placed": Placed(
         Deformed(siren(2), Inverse(invertible(2, 1))), Box((1, -2), (4, 3), ((2, 5),))
     ),
+    "loop": periodic(2, 1, loop=True),
+    "loop of a Lipschitz network": Periodic(lipschitz(3, 2), time=True),
+    "loop at a time": periodic(2, 1, loop=True).at(0.3),
+    "periodic in space": periodic(3, 1, axes=(0, 1, 2)),
+    "periodic along one axis, with two parameters": periodic(2, 2, axes=(1,)),
+    "periodic in space and time": periodic(3, 1, axes=(2, 0), loop=True),
+    "periodic in space and time, at a time": periodic(3, 1, axes=(2, 0), loop=True).at(0.3),
+    "periodic in space, placed": Placed(periodic(2, 1, axes=(0,), loop=True), Box((1, -2), (4, 0), ((2, 5),))),
+    "eased": Retimed(placed(2, 1), {-1.5: 2, 0.2: 4, 0.5: 4, 2: 3}),
+    "half eased, placed": Retimed(placed(3, 1), {0: 5, 2: 2, 3: 4}, ease=0.5),
+    "at an even speed": Retimed(Explicit(round_field, 2, 1, box=placed(2, 1).box), {-1: 2.5, 1: 2}, ease=0),
+    "retimed twice": Retimed(Retimed(placed(2, 1), {0: 2, 1: 5}), {0: 0, 3: 1}),
+    "retimed at a time": Retimed(placed(2, 1), {0: 2, 1: 5}).at(0.3),
     "sum": Sum(siren(2, 1), siren(2, 1, seed=1), placed(2, 1)),
     "product": Product(siren(3, 1), placed(3, 1)),
     "formula": Explicit(round_field, 2, 1),

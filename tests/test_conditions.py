@@ -194,3 +194,16 @@ def test_beyond_the_band_only_the_side_and_a_least_size_are_asked_for():
     assert torch.allclose(band_error(f, d, 0.03), expected)
     within = torch.tensor([-0.01, 0.4, -0.06, -0.04, -0.2, 0.15, 0.0], dtype=torch.float64)
     assert torch.allclose(band_error(f, d), within)
+
+
+def test_where_all_repeats_itself_points_beyond_have_the_values_of_those_within() -> None:
+    """A circle that touches the sides of a cell: samples around it come in on the other side."""
+    cell = Box((CENTER[0] - RADIUS, -7), (CENTER[0] + RADIUS, -1))
+    samples = Given.of(CIRCLE, cell, n=4000, generator=torch.Generator().manual_seed(0), like=LIKE, periodic=(0,))
+    dropped = Given.of(CIRCLE, cell, n=4000, generator=torch.Generator().manual_seed(0), like=LIKE)
+    assert len(samples.near) == 3000 > len(dropped.near) + 100
+    x = cell.frame.from_unit(samples.near)
+    assert cell.expanded(1e-9).contains(x).all()
+    assert torch.allclose(samples.near_values, CIRCLE.distance(x) / cell.frame.scale, rtol=0, atol=1e-9)
+    x = cell.uniform(50, generator=torch.Generator().manual_seed(1))
+    assert torch.allclose(samples.value(x + x.new_tensor([2 * RADIUS, 0])), CIRCLE.distance(x), rtol=0, atol=1e-12)

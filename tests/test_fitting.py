@@ -1,9 +1,13 @@
+import math
+
 import pytest
 import torch
 
-from levelflow import SIREN, Box, Budget, Circle, Divergence, Polygon, Rectangle, Sampling, fit
+from levelflow import SIREN, Box, Budget, Circle, Divergence, Periodic, Polygon, Rectangle, Sampling, fit
 from levelflow.conditions import OnSurface
 from levelflow.shapes.cloud import PointCloud
+from levelflow.shapes.implicit import Implicit
+from tests.fields import Explicit
 
 QUICK = {"budget": Budget(steps=300), "sampling": Sampling(n=1024, given=20_000)}
 
@@ -59,3 +63,20 @@ def test_wrong_use_is_explained(monkeypatch):
     with pytest.raises(Divergence, match="diverged") as caught:
         fit(network(), Circle(0.5), budget=Budget(steps=2))
     assert all(torch.isfinite(p).all() for p in caught.value.field.parameters())
+
+
+def test_a_line_is_fitted_in_a_periodic_box(generator):
+    """A wave of height 0.3, far from the origin: all along it the field and its slope go on beyond the sides."""
+    box = Box((10.0, -4.0), (14.0, 0.0))
+
+    def wave(x, t):
+        return x[:, 1] + 2 - 0.3 * torch.sin(math.pi * (x[:, 0] - 10) / 2)
+
+    key = Explicit(wave, 2, box=box)
+    field = fit(Periodic(SIREN(3, width=32, depth=2), axes=(0,)), key, box=box, **QUICK)
+    points, _ = Implicit(key).sample(1000, generator=generator)
+    with torch.no_grad():
+        assert field(points).abs().max() < 0.02
+        assert torch.allclose(field(points + points.new_tensor([4.0, 0.0])), field(points), rtol=0, atol=1e-4)
+    with pytest.raises(ValueError, match=r"fit: .* with the longest side of the box, and the sides are 4, 5; make"):
+        fit(Periodic(SIREN(3, width=8), axes=(0,)), key, box=Box((10.0, -4.0), (14.0, 1.0)))

@@ -21,7 +21,7 @@ LEVELS = (
     ("_version", "jets"),
     ("boxes", "curvature"),
     ("fields", "optimising"),
-    ("networks", "shapes", "minimising"),
+    ("networks", "shapes", "minimising", "retimed"),
     ("equations", "conditions", "elasticity", "extraction", "measures", "progress"),
     ("averaging", "rendering", "transported"),
     ("motion",),
@@ -33,7 +33,7 @@ LEVELS = (
     ("__main__",),
 )
 STEPS = {
-    "cli": (("names",), ("lifting", "running", "showing", "taking", "viewing"), ("commands",)),
+    "cli": (("names",), ("lifting", "retiming", "running", "showing", "taking", "viewing"), ("commands",)),
     "equations": (
         ("equation",),
         ("curvature", "eikonal", "family", "morph", "regional", "stationary", "transport", "volume", "willmore"),
@@ -46,7 +46,7 @@ STEPS = {
         ("gltf", "paraview", "usd", "vdb"),
     ),
     "flows": (("flow",),),
-    "networks": (("lipschitz", "siren"), ("invertible", "lifting")),
+    "networks": (("lipschitz", "siren"), ("invertible", "lifting", "periodic")),
     "rendering": (
         ("camera", "colours", "quantities"),
         ("hits",),

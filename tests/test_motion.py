@@ -75,6 +75,16 @@ def test_walkers_follow_the_field_as_it_changes(generator: torch.Generator) -> N
     assert (unit(field, motion.memory["walkers"]).abs() < 1e-6).double().mean() > 0.8
 
 
+def test_walkers_that_leave_a_cell_come_in_on_the_other_side() -> None:
+    """A field whose Newton steps all go to the right by 0.2."""
+    placed = Placed(Explicit(lambda u, tau: u[:, 0] - u[:, 0].detach() - 0.2, 2, 1), Box((0, 0), (2, 2), ((0.0, 1.0),)))
+    z = torch.tensor([[0.9, 0.9, 0.3], [-0.5, 0.0, 0.3]], dtype=torch.float64)
+    motion = Motion(placed, Stationary(), n=5)
+    assert torch.allclose(motion._newton(z)[:, 0], torch.tensor([1.1, -0.3]).double())
+    placed.periodic = (0,)
+    assert torch.allclose(motion._newton(z), torch.tensor([[-0.9, 0.9, 0.3], [-0.3, 0.0, 0.3]]).double())
+
+
 def test_samples_are_walkers_with_noise_and_for_a_fifth_points_of_the_whole_box(generator: torch.Generator) -> None:
     field = Explicit(moving, 2, 1)
     motion = Motion(Placed(field, BOX), Transport(VELOCITY), n=5000)
@@ -224,6 +234,17 @@ def test_the_values_of_a_blend_are_linear_in_time(knots: dict[float, float], gen
 
     solution = Explicit(lambda u, tau: u.norm(dim=1) - radius_at(4 + 2 * tau[:, 0], knots) / 2, 2, 1)
     assert Blend(Placed(solution, BOX), samples, list(knots), n=30).loss(u, tau, values).detach().max() < 1e-24
+
+
+def test_in_a_loop_a_blend_goes_on_from_the_last_shape_to_the_first(generator: torch.Generator) -> None:
+    placed = Placed(siren(2, 1), BOX)
+    placed.loops = True
+    knots = {3.0: 0.5, 5.0: 1.0}
+    blend = Blend(placed, [given(Circle(r, center=(3.0, -0.5)), BOX) for r in knots.values()], list(knots), n=3000)
+    u, tau, values = blend.sample(generator)
+    round_again = {1.0: 1.0, 3.0: 0.5, 5.0: 1.0, 7.0: 0.5}
+    exact = u.norm(dim=1) - radius_at(placed.times_in_units(tau)[:, 0], round_again) / 2
+    assert torch.allclose(values, exact, rtol=0, atol=1e-12)
 
 
 def test_a_blend_acts_until_it_is_said_to() -> None:

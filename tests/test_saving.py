@@ -13,6 +13,7 @@ from levelflow import (
     Deformed,
     Inverse,
     LipschitzMLP,
+    Periodic,
     Sampling,
     Sphere,
     fit,
@@ -21,9 +22,10 @@ from levelflow import (
 )
 from levelflow.equations import Constant, Rotation, Source, Transport
 from levelflow.fields import Placed, Slice, Sum
+from levelflow.retimed import Retimed
 from levelflow.saving import describe
 from levelflow.transported import Transported
-from tests.fields import invertible, lipschitz, siren
+from tests.fields import invertible, lipschitz, periodic, siren
 from tests.fields import placed as placed_anywhere
 
 BOX = Box((-3.0, 1.0, 0.0), (5.0, 2.0, 4.0), ((-0.5, 2.0),))
@@ -61,8 +63,19 @@ def test_a_slice_is_saved_like_any_field(tmp_path, generator):
         Deformed(siren(3), Inverse(invertible(3, 1).float(), tolerance=1e-3)),
         Deformed(placed_anywhere(3), Inverse(invertible(3, 1))),
         Deformed(Slice(siren(3, 2), (0.3, -0.5)), invertible(3, 1)),
+        periodic(3, 1, axes=(2, 0), loop=True),
+        Periodic(LipschitzMLP(3, 2, width=8), time=True),
     ],
-    ids=["Lipschitz", "Lipschitz in float32", "deformed", "carried", "carried in units", "carried slice"],
+    ids=[
+        "Lipschitz",
+        "Lipschitz in float32",
+        "deformed",
+        "carried",
+        "carried in units",
+        "carried slice",
+        "periodic",
+        "loop",
+    ],
 )
 def test_networks_that_are_bounded_or_move_space_come_back(tmp_path, generator, inner):
     field = Placed(inner, BOX)
@@ -96,6 +109,33 @@ def test_a_carried_field_comes_back_with_what_carries_it(tmp_path, generator, ve
     assert torch.equal(field(x, t), again(x, t))
     assert again.motion.velocity == velocity and again.box == field.box
     assert again.provenance == {"verb": "transport"} and again.shape.provenance == {"verb": "fit"}
+
+
+def test_a_retimed_field_comes_back_with_its_keys_and_all_that_is_inside(tmp_path, generator):
+    inner = placed()
+    once = Retimed(inner, {0: -0.5, 1: 2, 2.5: 0})
+    for field in (once, Retimed(once, {0: 1, 7: 2.5}, ease=0.25), Retimed(carried((1.0, 0.0)), {0: 3, 1: 0})):
+        field.provenance = {"verb": "retime"}
+        save(field, tmp_path / "f.safetensors")
+        again = load(tmp_path / "f.safetensors")
+        x, t = field.box.uniform(20, generator=generator), field.box.uniform_times(20, generator=generator)
+        assert torch.equal(field(x, t), again(x, t)) and again.box == field.box
+        assert (again.keys, again.ease, again.provenance) == (field.keys, field.ease, {"verb": "retime"})
+        assert again.field.provenance == field.field.provenance
+        save(again, tmp_path / "again.safetensors")
+        assert (tmp_path / "again.safetensors").read_bytes() == (tmp_path / "f.safetensors").read_bytes()
+    assert describe(tmp_path / "f.safetensors")["retimed"][0]["keys"] == [[0.0, 3.0], [1.0, 0.0]]
+
+
+def test_only_our_own_fields_are_saved_retimed(tmp_path):
+    class Mine(Retimed):
+        pass
+
+    with pytest.raises(TypeError, match="cannot write a Mine; "):
+        save(Mine(placed(), {0: 0, 1: 1}), tmp_path / "f.safetensors")
+    disk = Transported(Transport((1.0, 0.0)), Circle(0.5), until=1.0)
+    with pytest.raises(TypeError, match="cannot write a Retimed of a Transported of a Circle"):
+        save(Retimed(disk, {0: 0, 1: 1}), tmp_path / "f.safetensors")
 
 
 def test_a_field_carried_by_code_is_not_saved(tmp_path):
@@ -175,9 +215,17 @@ def test_a_header_that_does_not_describe_its_content_is_refused(tmp_path):
             {"type": "Deformed", "field": network, "deformation": {"type": "Inverse", "network": network}},
             "it has the inverse of a SIREN",
         ),
+        (
+            {"type": "Periodic", "network": moving, "axes": [], "time": True},
+            "it has a InvertibleResNet that is periodic",
+        ),
     ):
         save_file(tensors, path, metadata=header(network=described))
         with pytest.raises(ValueError, match=message):
+            load(path)
+    for keys in ([], [[0, 0], [1, 9]], [["soon", 0], [1, 1]], "01"):
+        save_file(tensors, path, metadata=header(retimed=[{"keys": keys, "ease": 1.0, "field": {}}]))
+        with pytest.raises(ValueError, match="does not describe its content"):
             load(path)
 
 

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -11,6 +12,7 @@ from levelflow import (
     Budget,
     Circle,
     Divergence,
+    Periodic,
     Placed,
     Rectangle,
     Sampling,
@@ -22,6 +24,7 @@ from levelflow import (
 )
 from levelflow.shapes.cloud import PointCloud
 from levelflow.shapes.implicit import Implicit
+from tests.fields import Explicit
 
 QUICK = {"budget": Budget(steps=250), "sampling": Sampling(n=1024, given=20_000)}
 
@@ -153,6 +156,34 @@ def test_divergence_stops_with_the_last_good_field():
     assert all(torch.isfinite(p).all() for p in caught.value.field.parameters())
 
 
+def test_a_volume_is_kept_and_the_longer_shape_becomes_rounder():
+    field = solve(
+        equations.VolumePreserving(equations.MeanCurvature(1.0)), network(),
+        at={0.0: Rectangle((0.8, 0.4), radius=0.1)}, until=0.03, budget=Budget(steps=250), sampling=Sampling(n=1024, given=5000),
+    )  # fmt: skip
+    before, after = (extract(field.at(t), resolution=128, refine=3) for t in (0.0, 0.03))
+    assert after.volume == pytest.approx(before.volume, rel=5e-3)
+    assert after.area < 0.93 * before.area
+    assert len(set(field.box.size)) == 1
+
+
+@pytest.mark.parametrize(
+    ("equation", "inner", "message"),
+    [
+        (
+            equations.VolumePreserving(equations.MeanCurvature(1.0)) + equations.MeanCurvature(1.0),
+            SIREN(2, 1),
+            "put ever",
+        ),
+        (equations.Willmore(1.0), Periodic(SIREN(2, 2), time=True), "must be a SIREN"),
+    ],
+    ids=["volume of a part", "fourth order"],
+)
+def test_what_cannot_be_solved_is_explained(equation, inner, message):
+    with pytest.raises(ValueError, match=message):
+        solve(equation, inner, at={0.0: Circle(0.3)}, until=0.1, budget=Budget(steps=1))
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -242,3 +273,84 @@ def test_a_fitted_field_that_leaves_its_own_box_brings_no_ghosts():
     for t in (0.0, 1.0):
         curve = extract(field.at(t), resolution=64)
         assert curve.components == 1 and abs(curve.volume / (math.pi / 4) - 1) < 0.05
+
+
+CELL = Box((-1.0, -1.0), (1.0, 1.0))
+
+
+def cell(time=1, **more):
+    """A network that is periodic along x."""
+    return Periodic(SIREN(3, time, width=32, depth=2, **more), axes=(0,))
+
+
+def ellipse(a, b):
+    """A field near the distance to an ellipse."""
+
+    def value(x, t):
+        ratio, slope = ((x / x.new_tensor(axes)).norm(dim=1) for axes in ((a, b), (a * a, b * b)))
+        return ratio * (ratio - 1) / slope.clamp_min(1e-9)
+
+    return Explicit(value, 2, box=CELL)
+
+
+def test_a_loop_from_a_circle_to_an_ellipse_and_back_meets_its_keys_and_has_no_seam(generator):
+    circle, oval = Circle(0.5), ellipse(0.7, 0.35)
+    field = solve(
+        equations.Morph({0.5: oval, 1.0: circle}), Periodic(SIREN(2, 2, width=32, depth=2), time=True),
+        at={0.0: circle, 0.5: oval}, until=1.0, budget=Budget(400), sampling=QUICK["sampling"],
+    )  # fmt: skip
+    assert field.loops and field.box.times == ((0.0, 1.0),)
+    assert all(accuracy["max"] < 0.01 for accuracy in field.provenance["accuracy"].values())
+    assert (radii(field, 1.0, generator) - 0.5).abs().max() < 0.01
+    # The way there and the way back are the same, half of the way at a quarter of the time.
+    waists = [radii(field, t, generator).min() for t in (0.25, 0.75)]
+    assert all(abs(waist - (0.5 + 0.35) / 2) < 0.02 for waist in waists)
+    x = CELL.uniform(200, generator=generator)
+    first, last = (field.jet(x, torch.full((200, 1), t), order=2) for t in (0.0, 1.0))
+    for part in ("value", "first", "second"):
+        assert torch.allclose(getattr(first, part), getattr(last, part), rtol=1e-3, atol=1e-3)
+    times = torch.linspace(0.9, 1.1, 21, dtype=torch.float64)
+    rates = torch.stack([field.jet(x, t.expand(200, 1)).dt[:, 0] for t in times])
+    steepest = (rates[1:] - rates[:-1]).abs().max(1).values
+    assert steepest[9:11].max() < 2 * steepest.median()
+
+
+def test_a_ripple_in_a_periodic_box_flattens_by_its_curvature(generator):
+    """y(x, t) solves y_t = rate y_xx / (1 + y_x^2) on a circle; the reference is by finite differences."""
+    rate, height = 0.1, 0.25
+    ripple = Explicit(lambda x, t: x[:, 1] - height * torch.cos(math.pi * x[:, 0]), 2, box=CELL)
+    field = solve(equations.MeanCurvature(rate), cell(), at={0.0: ripple}, until=1.0, box=CELL, **QUICK)
+    grid = np.linspace(-1, 1, 101)
+    y, h, dt = height * np.cos(np.pi * grid[:-1]), 0.02, 1e-3
+    heights = [y]
+    for _ in range(1000):
+        left, right = np.roll(y, 1), np.roll(y, -1)
+        y = y + dt * rate * (right - 2 * y + left) / h**2 / (1 + ((right - left) / (2 * h)) ** 2)
+        heights.append(y)
+    for t in (0.0, 0.5, 1.0):
+        points = Implicit(field.at(t)).sample(500, generator=generator).points.numpy()
+        exact = heights[round(1000 * t)]
+        assert np.abs(points[:, 1] - np.interp(points[:, 0], grid, np.append(exact, exact[0]))).max() < 0.005
+
+
+def test_a_circle_that_is_carried_by_a_whole_period_comes_back_on_the_other_side(generator):
+    motion = equations.Transport(equations.Constant((2.0, 0.0)))
+    field = solve(motion, cell(), at={0.0: Circle(0.5)}, until=1.0, box=CELL, **QUICK)
+    for t in (0.0, 1.0):
+        assert (radii(field, t, generator) - 0.5).abs().mean() < 0.01
+    halfway = Implicit(field.at(0.5)).sample(500, generator=generator).points
+    around = torch.where(
+        halfway[:, :1] > 0, halfway - halfway.new_tensor([1.0, 0]), halfway + halfway.new_tensor([1.0, 0])
+    )
+    assert (around.norm(dim=1) - 0.5).abs().mean() < 0.01
+
+
+def test_what_is_periodic_is_explained():
+    loop = Periodic(SIREN(2, 2, width=8, depth=2), time=True)
+    with pytest.raises(ValueError, match=r"in a loop t = 0 and t = 1 are the same instant.*\{0: shape\}, .*until=1"):
+        solve(equations.Morph(Circle(0.4)), loop, at={0.0: Circle(0.5), 1.0: Circle(0.4)})
+    with pytest.raises(ValueError, match=r"solve: the network is periodic along x; say what its cell is"):
+        solve(equations.Stationary(), cell(), at={0.0: Circle(0.5)}, until=1.0)
+    start = Placed(SIREN(2, width=8, depth=2), CELL)
+    with pytest.raises(ValueError, match=r"a Periodic cannot be lifted from another network; .* give SIREN\(2, 1\)"):
+        solve(equations.Stationary(), loop, at={0.0: Circle(0.5)}, until=1.0, start=start)

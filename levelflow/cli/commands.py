@@ -23,6 +23,7 @@ from levelflow.cli.names import (
     velocity_named,
     warn_of_distance,
 )
+from levelflow.cli.retiming import retime
 from levelflow.cli.running import (
     CHECKPOINT,
     CHECKPOINT_SECONDS,
@@ -247,6 +248,9 @@ def advect(
 def morph(
     shapes: Annotated[list[str], typer.Argument(metavar="A B [C ...]", help="Two shapes or more.")],
     output: Folder = None,
+    loop: Annotated[
+        bool, typer.Option("--loop", help="Back to the first shape at the end, in a motion without a seam.")
+    ] = False,
     times: Times = None,
     resolution: Resolution = 128,
     steps: Steps = None,
@@ -265,16 +269,18 @@ def morph(
         raise ValueError(f"morph {shapes[0]}: one shape is given; name at least two.")
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
     solids = [solid_named(shape) for shape in shapes]
-    at: dict[float, Key] = {i / (len(shapes) - 1): solid for i, solid in enumerate(solids)}
+    gaps = len(shapes) if loop else len(shapes) - 1
+    at: dict[float, Key] = {i / gaps: solid for i, solid in enumerate(solids)}
     warn_of_distance(shapes, [box_of(key) for key in at.values()])
-    equation = Morph({t: solid for t, solid in zip(at, solids, strict=True) if t > 0})
-    asked = times_in(times or f"0:1:{4 * (len(shapes) - 1) + 1}")
+    targets = {t: solid for t, solid in zip(at, solids, strict=True) if t > 0}
+    equation = Morph(targets | {1.0: solids[0]} if loop else targets)
+    asked = times_in(times or f"0:1:{4 * gaps + 1}")
     if min(asked) < 0 or max(asked) > 1:
         raise ValueError(
             f"morph --times {times}: the shapes stand between the times 0 and 1; ask for times in between."
         )
     folder = output or folder_for(shapes, "morph")
-    evolve(run, "morph", shapes, at, equation, asked, folder, resolution=resolution)
+    evolve(run, "morph", shapes, at, equation, asked, folder, resolution=resolution, loop=loop)
 
 
 @app.command()
@@ -386,6 +392,7 @@ app.command()(export)
 app.command()(film)
 app.command()(lift)
 app.command()(render)
+app.command()(retime)
 app.command("slice")(slice_field)
 app.command()(view)
 

@@ -85,6 +85,7 @@ def _loaded(call: str, path: Path, output: Path) -> tuple[Placed, SIREN]:
     """A field in a file and its network, where the result has a name that a field can have."""
     from levelflow.fields import Placed
     from levelflow.networks.siren import SIREN
+    from levelflow.retimed import Retimed
     from levelflow.saving import load
 
     if output.suffix != ".safetensors":
@@ -92,6 +93,8 @@ def _loaded(call: str, path: Path, output: Path) -> tuple[Placed, SIREN]:
             f"{call} -o {output}: a field is a .safetensors file; name it {output.with_suffix('.safetensors')}."
         )
     field = load(path)
+    if isinstance(field, Retimed):
+        raise ValueError(f"{call} {path}: this field is retimed; give the one that it was made from, and retime that.")
     if not isinstance(field, Placed):
         raise ValueError(
             f"{call} {path}: this field is carried along by a velocity, without a network of space and time; "

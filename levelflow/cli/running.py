@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from levelflow.export.frames import Frame
     from levelflow.fields import Placed
     from levelflow.minimising import Budget, Progress
+    from levelflow.networks.periodic import Periodic
     from levelflow.networks.siren import SIREN
     from levelflow.saving import Checkpoint
     from levelflow.transported import Transported
@@ -61,6 +62,12 @@ class Run:
         network = SIREN(space, time, width=self.width, depth=self.depth, generator=generator)
         return network.to(device_named(self.device))
 
+    def loop(self, space: int) -> Periodic:
+        """The same, of space and a time that comes round."""
+        from levelflow.networks.periodic import Periodic
+
+        return Periodic(self.network(space, 2), time=True)
+
     def budget(self) -> Budget:
         """The steps or seconds that the run may take."""
         from levelflow.minimising import DEFAULT_BUDGET, Budget
@@ -95,10 +102,12 @@ def evolve(
     resolution: int,
     title: str | None = None,
     distil: bool = True,
+    loop: bool = False,
 ) -> list[Frame]:
     """Solves, and writes the field, the meshes, the contact sheet and the report.
 
-    Without `distil` the first shape is fitted and carried along the characteristics of the equation.
+    Without `distil` the first shape is fitted and carried along the characteristics of the equation. With `loop` the
+    times 0 and 1 are the same instant.
     """
     import torch
 
@@ -118,15 +127,17 @@ def evolve(
     folder.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
     space = box_of(next(iter(at.values()))).space
-    settings = run.settings(verb, inputs, equation=repr(equation), times=[min(times), max(times)], distil=distil)
+    settings = run.settings(
+        verb, inputs, equation=repr(equation), times=[min(times), max(times)], distil=distil, loop=loop
+    )
     kept = Checkpoint(folder / CHECKPOINT, settings=settings, seconds=CHECKPOINT_SECONDS)
     with training(run, f"{verb} {' '.join(inputs)}", kept) as (on_step, state):
         field: Placed | Transported
         if distil:
+            network, until = (run.loop(space), (0.0, 1.0)) if loop else (run.network(space, 1), times)
             field = solve(
-                equation, run.network(space, 1), at=at, until=times, budget=run.budget(), seed=run.seed,
-                on_step=on_step, state=state,
-            )  # fmt: skip
+                equation, network, at=at, until=until, budget=run.budget(), seed=run.seed, on_step=on_step, state=state
+            )
         else:
             field = _carried(run, at, equation, times, on_step, state)
     trained = time.perf_counter()

@@ -123,7 +123,9 @@ def film(
     if isinstance(shown, Field) and shown.times:
         first, last = shown.box.times[0]  # type: ignore[union-attr]
         values = None if colour in _PLAIN else partial(_quantity, "film", surface, colour, shown)
-        asked = times_in(times or f"{first!r}:{last!r}:{frames}")
+        # The last frame of a loop is the one before its first.
+        end = last - (last - first) / max(frames, 1) if shown.loops else last
+        asked = times_in(times or f"{first!r}:{end!r}:{frames}")
     elif times is not None:
         raise ValueError(f"film {surface} --times {times}: the surface stands still; leave --times out, or --time.")
     elif not turntable:
@@ -193,9 +195,12 @@ def _quantity(call: str, text: str, colour: str, field: Field, time: float | Non
     """What of a field is shown by colours."""
     from levelflow.equations.described import equation_of
     from levelflow.rendering.quantities import Curvature, Residual
+    from levelflow.retimed import Retimed
 
     if colour == "curvature":
         return Curvature(field if time is None else field.at(time))
+    if isinstance(field, Retimed) and time is not None:
+        return _quantity(call, text, colour, field.field, field.moment(time))
     provenance = getattr(field, "provenance", {})
     equation = equation_of(provenance)
     if time is None:

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from levelflow.export.scene import Scene
     from levelflow.export.sequences import Entry
     from levelflow.export.snapshots import Snapshot
-    from levelflow.fields import Placed
-    from levelflow.transported import Transported
+    from levelflow.fields import Field
 
 _WHOLE = ("glb", "pvd", "usd", "usda", "usdc")
 _NUMBERED = ("ply", "stl", "npz", "mhd", "vdb")
@@ -123,7 +122,7 @@ def _target(field: Path, output: Path, kind: str | None) -> tuple[Path, tuple[st
 def _painted(
     frames: Iterable[Snapshot],
     paint: Paint,
-    field: Placed | Transported,
+    field: Field,
     time: float | None,
     *,
     track: bool,
@@ -141,9 +140,7 @@ def _painted(
     return paint_all(frames, paint) if time is None else paint_all(frames, paint, along=field, time=time)
 
 
-def _write_volumes(
-    field: Placed | Transported, times: list[float], path: Path, *, resolution: int, quiet: bool
-) -> list[Entry]:
+def _write_volumes(field: Field, times: list[float], path: Path, *, resolution: int, quiet: bool) -> list[Entry]:
     """Raw volumes: the values of the field themselves."""
     from levelflow.export.sequences import write_sequence
     from levelflow.export.volumes import volumes, write_mhd, write_npz
@@ -154,7 +151,7 @@ def _write_volumes(
 
 
 def _write_level_sets(
-    field: Placed | Transported, frames: Iterable[Snapshot], path: Path, number: int, *, resolution: int, quiet: bool
+    field: Field, frames: Iterable[Snapshot], path: Path, number: int, *, resolution: int, quiet: bool
 ) -> list[Entry]:
     """OpenVDB files: distances to the surfaces."""
     from levelflow.export.sequences import write_sequence

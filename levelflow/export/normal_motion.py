@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 
 from levelflow.fields import Field
+from levelflow.retimed import Retimed
 from levelflow.transported import Transported
 
 _POINTS_AT_ONCE = 1 << 15
@@ -92,7 +93,7 @@ def carry(field: Field, x: Points, start: float, end: float, *, step: float) -> 
     Runge-Kutta steps of order 4, during which hardly a point moves further than `step`, each followed by Newton steps
     back to the zero set. Where the surface pinches, vanishes or tears, its points have nowhere to go: they did not
     arrive. The end may lie before the start. Points of a `Transported` field move along its characteristics instead,
-    tangentially as well.
+    tangentially as well, and those of a `Retimed` one as those of the field inside between its two moments.
 
     Args:
         field: A field of space and one time.
@@ -101,6 +102,8 @@ def carry(field: Field, x: Points, start: float, end: float, *, step: float) -> 
         end: When they are wanted.
         step: A length, about that of a detail of the surface: a point that Newton steps move further is lost.
     """
+    if isinstance(field, Retimed):
+        return carry(field.field, x, field.moment(start), field.moment(end), step=step)
     x, t = np.array(x, dtype=np.float64), start
     arrived = np.ones(len(x), dtype=bool)
     if isinstance(field, Transported):

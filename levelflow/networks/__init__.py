@@ -3,6 +3,7 @@
 from levelflow.networks.invertible import Inverse, InvertibleResNet
 from levelflow.networks.lifting import lift
 from levelflow.networks.lipschitz import LipschitzMLP
+from levelflow.networks.periodic import Periodic
 from levelflow.networks.siren import SIREN, sliced
 
-__all__ = ["SIREN", "Inverse", "InvertibleResNet", "LipschitzMLP", "lift", "sliced"]
+__all__ = ["SIREN", "Inverse", "InvertibleResNet", "LipschitzMLP", "Periodic", "lift", "sliced"]

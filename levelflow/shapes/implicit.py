@@ -87,7 +87,9 @@ class Implicit(Shape):
         )
 
     def value(self, x: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-        """The field, continued beyond the box where it is known by the distance to that box."""
+        """The field, continued beyond its box as it repeats itself, or else by the distance to that box."""
+        if self.field.periodic and self._search == self.field.box:
+            x = self._search.wrapped(x, self.field.periodic)
         inside = x.clamp(x.new_tensor(self._search.lower), x.new_tensor(self._search.upper))
         # A root whose derivatives are zero, not infinite, where nothing lies beyond the box.
         beyond = ((x - inside) ** 2).sum(1)

@@ -12,7 +12,7 @@ from torch import Tensor
 from levelflow.boxes import Box
 from levelflow.fields import Placed
 from levelflow.shapes.implicit import Implicit
-from tests.fields import Explicit, siren
+from tests.fields import Explicit, periodic, siren
 
 A, B = 1.0, 0.6
 ELLIPSE = Explicit(lambda x, t: (x[:, 0] / A) ** 2 + (x[:, 1] / B) ** 2 - 1, 2, box=Box((-1.2, -1.2), (1.2, 1.2)))
@@ -102,6 +102,14 @@ def test_a_surface_that_fills_little_of_the_box_is_found(generator: torch.Genera
     assert torch.allclose(points.norm(dim=1), torch.full((500,), radius).double(), rtol=1e-3)
     assert points.mean(0).norm() < 0.2 * radius
     assert torch.allclose(normals, points / points.norm(dim=1, keepdim=True), atol=1e-6)
+
+
+def test_beyond_its_cell_a_field_goes_on_as_it_repeats_itself() -> None:
+    field = Placed(periodic(2, axes=(1,)), Box((0.0, -1.0), (4.0, 3.0)))
+    x = torch.tensor([[1.0, 0.5], [1.0, 4.5], [1.0, -7.5], [5.0, 4.5]]).double()
+    values = Implicit(field).value(x)
+    assert torch.allclose(values[:3], field(x[:1]).expand(3), rtol=0, atol=1e-12)
+    assert torch.allclose(values[3], field(torch.tensor([[4.0, 0.5]]).double()) + 1.0, rtol=0, atol=1e-12)
 
 
 def test_beyond_its_box_a_field_goes_on_as_the_distance_to_the_box() -> None:

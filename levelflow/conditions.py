@@ -142,6 +142,23 @@ class Given:
             value,
         )
 
+    def where(self, holds: Callable[[Tensor], Tensor], box: Box) -> Given:
+        """The samples at whose points, in the units of the box, something holds."""
+
+        def kept(u: Tensor) -> Tensor:
+            return holds(box.frame.from_unit(u.double())).to(u.device)
+
+        on, near, far = kept(self.points), kept(self.near), kept(self.far)
+        return Given(
+            self.points[on],
+            self.normals[on],
+            self.near[near],
+            self.near_values[near],
+            self.far[far],
+            self.far_values[far],
+            self.value,
+        )
+
 
 class OnSurface:
     r"""On the given surface f = 0 and grad f = n: $f^2 + w\,|\nabla f - n|^2$."""

@@ -89,7 +89,8 @@ class Motion:
         error = error * self._scales(error)
         if self.equation.order > 1:
             bend = 1 + self.bend * placed.box.frame.scale * total_curvature(jet).detach().abs()
-            curved = torch.tensor([part.order > 1 for part in self.equation.columns], device=error.device)
+            speeds = [part.is_speed and part.order > 1 for part in self.equation.columns]
+            curved = torch.tensor(speeds, device=error.device)
             error = torch.where(curved, error / bend[:, None], error)
         loss = self.knee**2 * torch.log1p((error / self.knee) ** 2)
         steep = (gradient_norm(jet) > 0.05)[:, None]
@@ -146,6 +147,12 @@ class Smoothing(Motion):
     """
 
     weight, noise, knee = 10.0, 0.03, 0.01
+
+
+class Diffusion(Motion):
+    """The same for equations about all values of f: asked for in the whole box, half of the samples at the surface."""
+
+    noise, near = 0.1, 0.5
 
 
 class Carried:
@@ -216,7 +223,7 @@ class Blend:
 
     A single shape stands still, which is the initialisation of the paper; two give the plain morph of their distances.
     In a loop they go on from the last shape to the first. It needs no derivatives, and so is several times cheaper than
-    the equation.
+    the equation. `Held` is the same to the end, where the equation holds the shape.
 
     Reference:
         Novello et al., Neural Implicit Surface Evolution, ICCV 2023, Sec. 4.4.
@@ -274,3 +281,10 @@ class Blend:
     def loss(self, *batch: Tensor) -> Tensor:
         u, tau, values = batch
         return band_error(self.placed.field(u, tau), values, self.band) ** 2
+
+
+class Held(Blend):
+    """The values of a given shape, at every time, where the equation lets nothing move: a boundary that stays."""
+
+    name = "held"
+    weight = 100.0

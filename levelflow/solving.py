@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +21,7 @@ from levelflow.equations.volume import VolumePreserving
 from levelflow.fields import Placed
 from levelflow.measures import accuracy
 from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
-from levelflow.motion import Blend, Carried, Motion, Smoothing
+from levelflow.motion import Blend, Carried, Diffusion, Held, Motion, Smoothing
 from levelflow.networks.lifting import lift, replaced
 from levelflow.networks.periodic import Periodic, check_cell
 from levelflow.networks.siren import SIREN
@@ -140,8 +141,9 @@ def solve(
         for key in at.values()
     ]
     n, on, off = sampling.counts()
-    smooths = equation.order > 1 and not sharpens and len(at) == 1
-    band, normal = (NARROW, 0.001) if smooths else (BAND, 0.01)
+    everywhere = any(column.is_rate for column in equation.columns)
+    smooths = equation.order > 1 and not sharpens and len(at) == 1 and not everywhere
+    band, normal = (math.inf, 0.0) if everywhere else (NARROW, 0.001) if smooths else (BAND, 0.01)
     terms: list[Term] = []
     parameters = list(field.parameters())
     for instant, samples in zip(instants, given, strict=True):
@@ -158,13 +160,16 @@ def solve(
         if warm_up:
             times = [0.0 if math.isnan(t) else t for t, *_ in instants]
             terms.append(Blend(field, given, times, n=n, until=warm_up, band=band))
+        held = given[0].where(functools.partial(_held, equation), box)
+        if len(at) == 1 and len(held.near):
+            terms.append(Held(field, [held], [0.0], n=n // 4, band=band))
         if equation.bends:
             kappa = _for_curvature(field, generator)
             parameters.extend(kappa.parameters())
             terms.append(Agreement(field, equation, kappa, n=n, until=warm_up))
             terms.append(Bending(field, equation, kappa, n=n, since=warm_up, origin=instants[0][0]))
         else:
-            motion = Smoothing if smooths else Motion
+            motion = Diffusion if everywhere else Smoothing if smooths else Motion
             terms.append(motion(field, equation, n=n, since=warm_up, origin=instants[0][0]))
     try:
         progress = minimise(parameters, terms, budget=budget, generator=generator, on_step=on_step, state=state)
@@ -260,6 +265,12 @@ def _intervals(instants: Sequence[tuple[float, ...]], until: Until, k: int) -> l
             )
         found.append(interval(known, end, call="solve" if k == 1 else f"solve, parameter {i}"))  # type: ignore[arg-type]
     return found
+
+
+def _held(equation: Equation, x: Tensor) -> Tensor:
+    """Whether points move with none of the times or parameters, (n,)."""
+    moving = [column.held(x) for column in equation.columns if column.is_speed or column.is_rate]
+    return torch.stack(moving).all(0) if moving else torch.zeros(len(x), dtype=torch.bool, device=x.device)
 
 
 def _filled(instants: Sequence[tuple[float, ...]], intervals: Sequence[tuple[float, float]]) -> list[tuple[float, ...]]:

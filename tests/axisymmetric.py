@@ -22,21 +22,30 @@ from levelflow.shapes import Solid
 class Neck:
     r"""A surface of revolution with the profile r(z, t), 0 <= z <= length, mirrored at both ends, until it pinches.
 
-    $r_t = r_{zz} / (1 + r_z^2) - 1 / r$, by central differences on n cells. A thin neck shrinks like a cylinder, so
-    that the time left at the radius $\epsilon$ at which it is stopped is about $\epsilon^2 / 2$.
+    $r_t = m(z) (r_{zz} / (1 + r_z^2) - 1 / r)$, by central differences on n cells; the mask m, 1 by default,
+    holds ends where it is 0. A thin neck shrinks like a cylinder, so that the time left at the radius $\epsilon$ at
+    which it is stopped is about $\epsilon^2 / 2$.
 
     Attributes:
         pinch: The time at which the neck at z = 0 closes.
     """
 
-    def __init__(self, profile: Callable[[np.ndarray], np.ndarray], length: float, *, n: int, stop: float) -> None:
+    def __init__(
+        self,
+        profile: Callable[[np.ndarray], np.ndarray],
+        length: float,
+        *,
+        n: int,
+        stop: float,
+        mask: Callable[[np.ndarray], np.ndarray] = np.ones_like,
+    ) -> None:
         self._z = np.linspace(0, length, n + 1)
-        h = length / n
+        h, moves = length / n, mask(self._z)
 
         def rate(t: float, r: np.ndarray) -> np.ndarray:
             wide = np.concatenate([r[1:2], r, r[-2:-1]])
             slope, bend = (wide[2:] - wide[:-2]) / (2 * h), (wide[2:] + wide[:-2] - 2 * r) / h**2
-            return bend / (1 + slope**2) - 1 / r
+            return moves * (bend / (1 + slope**2) - 1 / r)
 
         self._run = _until(lambda r: r[0] - stop, rate, profile(self._z), method="LSODA", lband=1, uband=1)
         self.pinch = float(self._run.t[-1]) + stop**2 / 2
@@ -93,7 +102,7 @@ class Revolved:
 
     Its field f(r, z, t) moves by the curvature of the plane and that of the parallels,
 
-        f_t = rate (f_rr + f_zz - n^T H n + f_r / r),   n = grad f / |grad f|,
+        f_t = rate m(z) (f_rr + f_zz - n^T H n + f_r / r),   n = grad f / |grad f|,
 
     on a grid that lies half a cell off the axis and off the plane z = 0, in which all is mirrored. Central differences
     and Euler's steps of a fifth of h^2: of second order in h.
@@ -104,18 +113,29 @@ class Revolved:
         height: How far it reaches from z = 0; there it is mirrored too, as a period of a wave is.
         spacing: h.
         rate: As in `MeanCurvature`.
+        mask: m, which holds the surface where it is 0; 1 unless it is given.
 
     Attributes:
         f: The values, (radii, heights).
         time: Where it stands.
     """
 
-    def __init__(self, solid: Solid, radius: float, height: float, *, spacing: float, rate: float = 1.0) -> None:
+    def __init__(
+        self,
+        solid: Solid,
+        radius: float,
+        height: float,
+        *,
+        spacing: float,
+        rate: float = 1.0,
+        mask: Callable[[Tensor], Tensor] = torch.ones_like,
+    ) -> None:
         self.spacing, self.rate, self.time = spacing, rate, 0.0
         self.r, self.z = (
             spacing * (torch.arange(math.ceil(reach / spacing - 1e-9), dtype=torch.float64) + 0.5)
             for reach in (radius, height)
         )
+        self._moves = mask(self.z)
         r, z = torch.meshgrid(self.r, self.z, indexing="ij")
         points = torch.stack([r, torch.zeros_like(r), z], dim=-1).reshape(-1, 3)
         self.f = solid.distance(points).reshape(r.shape)
@@ -132,7 +152,7 @@ class Revolved:
         across = fz**2 * frr - 2 * fr * fz * frz + fr**2 * fzz
         # Where the gradient vanishes the direction of the level set is anyone's: half the Laplacian is its mean.
         plane = torch.where(fr**2 + fz**2 > 1e-10, across / (fr**2 + fz**2).clamp_min(1e-10), (frr + fzz) / 2)
-        self.f = middle + dt * self.rate * (plane + fr / self.r[:, None])
+        self.f = middle + dt * self.rate * self._moves * (plane + fr / self.r[:, None])
         self.time += dt
 
     def run(self, time: float) -> Revolved:

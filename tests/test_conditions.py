@@ -59,6 +59,15 @@ def test_samples_and_values_are_those_of_the_shape_in_normalised_units(key: Circ
     assert torch.equal(samples.value(x), key.distance(x) if isinstance(key, Circle) else key(x))
 
 
+def test_samples_can_be_those_of_a_part_in_the_units_of_the_box() -> None:
+    samples = given(CIRCLE)
+    left = samples.where(lambda x: x[:, 0] < CENTER[0] - 1, BOX)
+    for x, all_of_them in ((left.points, samples.points), (left.near, samples.near), (left.far, samples.far)):
+        assert 0 < len(x) < len(all_of_them) and (x[:, 0] < -1 / 3).all()
+    assert torch.allclose(left.near_values, left.near.norm(dim=1) - 0.5, rtol=0, atol=1e-12)
+    assert len(left.far_values) == len(left.far) and len(left.normals) == len(left.points)
+
+
 def test_near_samples_are_at_the_distances_that_they_say() -> None:
     samples = given(CIRCLE, 40_000)
     assert 29_800 < len(samples.near) <= 30_000

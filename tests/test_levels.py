@@ -36,7 +36,18 @@ STEPS = {
     "cli": (("names",), ("lifting", "retiming", "running", "showing", "taking", "viewing"), ("commands",)),
     "equations": (
         ("equation",),
-        ("curvature", "eikonal", "family", "morph", "regional", "stationary", "transport", "volume", "willmore"),
+        (
+            "curvature",
+            "eikonal",
+            "family",
+            "heat",
+            "morph",
+            "regional",
+            "stationary",
+            "transport",
+            "volume",
+            "willmore",
+        ),
         ("described", "simplicial"),
     ),
     "export": (

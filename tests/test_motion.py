@@ -12,6 +12,7 @@ from levelflow.boxes import Box
 from levelflow.conditions import Given
 from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.eikonal import Eikonal
+from levelflow.equations.heat import Heat
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Rotation, Transport
 from levelflow.fields import Field, Placed
@@ -145,6 +146,15 @@ def test_errors_of_second_order_count_relative_to_the_curvature() -> None:
     both = Motion(steeper, MeanCurvature(rate) + Eikonal(), n=5)
     slope = both.knee**2 * math.log1p(1 / both.knee**2)
     assert torch.allclose(both.loss(z), found + slope)
+
+
+def test_errors_of_values_count_whatever_the_slope_and_the_curvature() -> None:
+    """The flat rest of a small circle, still while heat flows: the error is rate times the Laplacian of f."""
+    still = Placed(Explicit(lambda u, tau: 0.01 * (u * u).sum(1), 2, 1), BOX)
+    z = torch.tensor([[0.05, 0.0, 0.0], [0.5, 0.5, 0.0]], dtype=torch.float64)
+    change = 0.1 * 4 * 0.01 / 2 * 2 / 2  # 4 and 1/2 for the Laplacian in these units, 2/2 for half the time
+    found = Motion(still, Heat(0.1), n=5).loss(z)
+    assert torch.allclose(found, torch.tensor(0.01 * math.log1p((change / 0.1) ** 2), dtype=torch.float64))
 
 
 def test_several_equations_at_once_add_their_losses() -> None:

@@ -87,6 +87,16 @@ def test_a_morph_of_concentric_circles_is_linear_in_time(generator):
         assert (radii(field, t, generator) - 0.4 - 0.2 * t).abs().max() < 0.008
 
 
+def test_what_is_held_stays_while_the_rest_moves(generator):
+    """Half of a circle is held; curvature draws the other half towards the chord between its ends."""
+    half = equations.Regional(equations.MeanCurvature(0.1), lambda x: (x[:, 0] / 0.1).clamp(0, 1))
+    field = solve(half, network(), at={0.0: Circle(0.5)}, until=1.0, **QUICK)
+    points = Implicit(field.at(1.0)).sample(2000, generator=generator).points
+    off = points.norm(dim=1) - 0.5
+    assert off[points[:, 0] < 0].abs().mean() < 0.004
+    assert off[points[:, 0] > 0.1].mean() < -0.1
+
+
 def test_a_morph_passes_through_all_of_its_keyframes(generator):
     targets = {0.5: Circle(0.6), 1.0: Circle(0.3)}
     field = solve(equations.Morph(targets), network(), at={0.0: Circle(0.4), **targets}, **QUICK)

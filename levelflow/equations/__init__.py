@@ -4,6 +4,7 @@ from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.equation import Equation, LevelSetEquation
 from levelflow.equations.family import Family
+from levelflow.equations.heat import Heat
 from levelflow.equations.morph import Morph
 from levelflow.equations.regional import Regional
 from levelflow.equations.simplicial import SimplicialMorph
@@ -17,6 +18,7 @@ __all__ = [
     "Eikonal",
     "Equation",
     "Family",
+    "Heat",
     "LevelSetEquation",
     "MeanCurvature",
     "Morph",

@@ -9,12 +9,24 @@ from typing import Any
 from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.equation import Equation
+from levelflow.equations.heat import Heat
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
 
 _KNOWN: Mapping[str, Any] = {
     kind.__name__: kind
-    for kind in (Constant, Eikonal, MeanCurvature, Rotation, Source, Stationary, SumOfVelocities, Transport, Twist)
+    for kind in (
+        Constant,
+        Eikonal,
+        Heat,
+        MeanCurvature,
+        Rotation,
+        Source,
+        Stationary,
+        SumOfVelocities,
+        Transport,
+        Twist,
+    )
 }
 
 

@@ -7,7 +7,7 @@ from functools import reduce
 from operator import add
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from levelflow.boxes import Box
@@ -20,7 +20,9 @@ class Equation(ABC):
 
     Attributes:
         order: The order of the jets that it needs, 1 or 2.
-        is_speed: Whether its error is a speed, in length per unit time; else it has no unit.
+        is_speed: Whether its error is a speed of the surface, in length per unit time.
+        is_rate: Whether its error is a rate of the values of f, in length per unit time. All values take part then, and
+            not the zero set alone.
         sharpens: Whether it is ill-posed backwards in time.
         bends: Whether it needs derivatives of the curvature, `Jet.curvature`.
         averages: Whether it needs means over the whole surface; it is then to be the whole equation.
@@ -29,6 +31,7 @@ class Equation(ABC):
 
     order: int = 1
     is_speed: bool = False
+    is_rate: bool = False
     sharpens: bool = False
     bends: bool = False
     averages: bool = False
@@ -44,14 +47,18 @@ class Equation(ABC):
 
     def drives(self, k: int) -> set[int]:
         """Which of k times or parameters the surface moves with by this equation alone."""
-        return {column.parameter for column in self.columns if column.is_speed}
+        return {column.parameter for column in self.columns if column.is_speed or column.is_rate}
 
     def unit(self, box: Box) -> float:
         """What brings an error to normalised units on a box; it makes a speed a displacement over half the time."""
-        if not self.is_speed:
+        if not (self.is_speed or self.is_rate):
             return 1.0
         first, last = box.times[self.parameter]
         return (last - first) / 2 / box.frame.scale
+
+    def held(self, x: Float[Tensor, "n d"]) -> Bool[Tensor, " n"]:
+        """Whether points never move, so that what is given there is given for the whole interval."""
+        return torch.zeros(len(x), dtype=torch.bool, device=x.device)
 
     def draw(self, n: int, *, generator: torch.Generator) -> Float[Tensor, "n k"] | None:
         """Times or parameters for samples, if the field is not wanted for all between the ends; else None."""
@@ -75,6 +82,11 @@ class Equation(ABC):
         """Whether the motion alone decides where points go, in so many space coordinates."""
         origin, now = torch.zeros(1, space, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
         return self.carry(origin, now, now) is not None
+
+    def _rate(self, jet: Jet) -> Tensor:
+        if not jet.dt.shape[1]:
+            raise ValueError(f"{self!r}: the field does not depend on time, so nothing can move; give SIREN(time=1).")
+        return jet.dt[:, 0]
 
     def __add__(self, other: Equation) -> Equation:
         return _together(self, other)
@@ -107,11 +119,6 @@ class LevelSetEquation(Equation):
         """The error of the normal speed, v - (-f_t / |grad f|): unlike the residual, a flatter f does not lower it."""
         return (self._rate(jet) / gradient_norm(jet) + self.speed(x, t, jet)) * self.weight(t)
 
-    def _rate(self, jet: Jet) -> Tensor:
-        if not jet.dt.shape[1]:
-            raise ValueError(f"{self!r}: the field does not depend on time, so nothing can move; give SIREN(time=1).")
-        return jet.dt[:, 0]
-
     def __add__(self, other: Equation) -> Equation:
         return Motions(self, other) if isinstance(other, LevelSetEquation) else _together(self, other)
 
@@ -135,6 +142,9 @@ class Motions(LevelSetEquation):
     def weight(self, t: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
         return torch.stack([motion.weight(t) for motion in self.motions]).amin(0)
 
+    def held(self, x: Float[Tensor, "n d"]) -> Bool[Tensor, " n"]:
+        return torch.stack([motion.held(x) for motion in self.motions]).all(0)
+
 
 class Together(Equation):
     """Several equations that are to hold at once; one column of the residual for each."""
@@ -145,7 +155,7 @@ class Together(Equation):
         self.sharpens = any(equation.sharpens for equation in equations)
         self.bends = any(equation.bends for equation in equations)
         self.averages = any(equation.averages for equation in equations)
-        driven = [column.parameter for column in self.columns if column.is_speed]
+        driven = [column.parameter for column in self.columns if column.is_speed or column.is_rate]
         if len(driven) > len(set(driven)):
             raise ValueError(f"{self!r}: two motions for one parameter; a Family has one for each: Family(a + b, c).")
 

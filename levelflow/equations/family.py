@@ -79,6 +79,9 @@ class Along(Equation):
     def carry(self, x: Tensor, start: Tensor, end: Tensor, *, steps: int = 32) -> Tensor | None:
         return self.motion.carry(x, start, end, steps=steps)
 
+    def held(self, x: Tensor) -> Tensor:
+        return self.motion.held(x)
+
     def residual(self, x: Tensor, t: Tensor, jet: Jet) -> Tensor:
         return self.motion.residual(x, t[:, self.parameter, None], jet.along(self.parameter))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from levelflow.equations.equation import LevelSetEquation
@@ -18,8 +18,9 @@ Mask = Callable[[Tensor], Tensor]
 class Regional(LevelSetEquation):
     r"""A motion whose speed is multiplied by a mask of the place, $v(x, t) = m(x)\,v_0(x, t)$.
 
-    Where the mask is 0 the surface stands still: what is there is a boundary for the rest. Mean curvature with a fixed
-    region leads to soap films, since minimal surfaces are where it comes to rest.
+    Where the mask is 0 the surface stands still: what is there is a boundary for the rest, and `solve` asks for the
+    given shape there at every time. Mean curvature with a fixed region leads to soap films, since minimal surfaces are
+    where it comes to rest.
 
     Args:
         motion: The motion where the mask is 1.
@@ -47,13 +48,19 @@ class Regional(LevelSetEquation):
         return f"Regional({self.motion!r}, {self.mask!r})"
 
     def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
-        with torch.no_grad():
-            mask = self.mask(x)
-        if mask.shape != jet.value.shape:
-            raise ValueError(
-                f"{self!r}: the mask has the shape {tuple(mask.shape)} at {len(x)} points; one number each is needed."
-            )
-        return mask.to(jet.value) * self.motion.speed(x, t, jet)
+        return self._mask(x).to(jet.value) * self.motion.speed(x, t, jet)
 
     def weight(self, t: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
         return self.motion.weight(t)
+
+    def held(self, x: Float[Tensor, "n d"]) -> Bool[Tensor, " n"]:
+        return self._mask(x).to(x.device) == 0
+
+    @torch.no_grad()
+    def _mask(self, x: Tensor) -> Tensor:
+        mask = self.mask(x)
+        if mask.shape != x.shape[:1]:
+            raise ValueError(
+                f"{self!r}: the mask has the shape {tuple(mask.shape)} at {len(x)} points; one number each is needed."
+            )
+        return mask

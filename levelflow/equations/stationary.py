@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from levelflow.equations.equation import LevelSetEquation
@@ -24,6 +24,9 @@ class Stationary(LevelSetEquation):
 
     def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
         return torch.zeros_like(jet.value)
+
+    def held(self, x: Float[Tensor, "n d"]) -> Bool[Tensor, " n"]:
+        return torch.ones(len(x), dtype=torch.bool, device=x.device)
 
     def carry(
         self, x: Float[Tensor, "n d"], start: Float[Tensor, " n"], end: Float[Tensor, " n"], *, steps: int = 1

@@ -1,7 +1,18 @@
 import pytest
 
 from levelflow import Sphere
-from levelflow.equations import Constant, Eikonal, MeanCurvature, Morph, Rotation, Source, Stationary, Transport, Twist
+from levelflow.equations import (
+    Constant,
+    Eikonal,
+    Heat,
+    MeanCurvature,
+    Morph,
+    Rotation,
+    Source,
+    Stationary,
+    Transport,
+    Twist,
+)
 from levelflow.equations.described import equation_of
 
 TURN, PUSH = Rotation(-1.5, center=(0.0, 1e-3, 2.0)), Constant((1.0, -2.0, 0.5))
@@ -11,6 +22,7 @@ TURN, PUSH = Rotation(-1.5, center=(0.0, 1e-3, 2.0)), Constant((1.0, -2.0, 0.5))
     "equation",
     [
         MeanCurvature(1.5e-5),
+        Heat(1.5e-5),
         Stationary(),
         Transport(TURN),
         Transport(Source((0.0, 0.0, 0.0), -1.0, 0.2) + Twist(2.0)),

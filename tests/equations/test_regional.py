@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from levelflow.boxes import Box
-from levelflow.equations import Eikonal, MeanCurvature, Morph, Regional
+from levelflow.equations import Eikonal, Family, MeanCurvature, Morph, Regional, Stationary
 from levelflow.shapes import Circle
 from tests.fields import Explicit, points
 
@@ -34,6 +34,17 @@ def test_a_field_is_a_mask_and_the_weight_in_time_is_that_of_the_motion():
     morph = Morph(Circle(0.8))
     assert torch.allclose(Regional(morph, mask).speed(x, t, jet), x[:, 0] * morph.speed(x, t, jet))
     assert torch.equal(Regional(morph, mask).weight(t), morph.weight(t))
+
+
+def test_points_are_held_where_the_mask_is_zero_and_no_other_motion_is_at_work(generator):
+    x = BOX.uniform(100, generator=generator)
+    left = x[:, 0] < 0
+    film = Regional(MeanCurvature(0.1), lambda x: x[:, 0].clamp_min(0))
+    assert torch.equal(film.held(x), left)
+    assert torch.equal((film + Stationary()).held(x), left)
+    assert not (film + MeanCurvature(0.1)).held(x).any() and not Eikonal().held(x).any()
+    columns = Family(film, Stationary()).columns
+    assert torch.equal(columns[0].held(x), left) and columns[1].held(x).all()
 
 
 def test_what_is_no_mask_is_refused(unchecked):

@@ -15,13 +15,14 @@ from torch import Tensor
 from levelflow.boxes import Box
 from levelflow.conditions import Given, OffSurface, OnSurface, Sampling
 from levelflow.curvature import gradient_norm
-from levelflow.extraction import EmptyLevelSet, extract
+from levelflow.extraction import EmptyLevelSet, ExtractionWarning, extract
 from levelflow.fields import Field, Placed
 from levelflow.flows.flow import Flow
 from levelflow.keyframed import Keyframed
 from levelflow.minimising import Budget, Term, minimise
 from levelflow.networks.lifting import replaced
 from levelflow.networks.siren import SIREN
+from levelflow.shapes.distance import TriangleDistance
 from levelflow.shapes.mesh import Mesh, MeshWarning
 
 TOLERANCE = 5e-4
@@ -205,9 +206,15 @@ class _Follower:
     def _moved(self, field: Placed, time: float, dt: float, generator: torch.Generator) -> _Wanted:
         """The mesh of a field after a part of a step, and what it asks of the field."""
         try:
-            mesh = extract(field, resolution=self.resolution, refine=2)
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", ExtractionWarning)
+                mesh = extract(field, resolution=self.resolution, refine=2)
         except EmptyLevelSet:
             raise Vanished(f"evolve: there is no surface left at t = {time:g}.") from None
+        except ExtractionWarning as warning:
+            raise NotFollowed(
+                f"evolve: at t = {time:g} the surface meets the box of the field; give evolve(box=...) more room."
+            ) from warning
         displacement = self.flow.displacement(mesh, dt, time=time)
         if displacement.shape != mesh.vertices.shape or not np.isfinite(displacement).all():
             raise ValueError(
@@ -226,24 +233,20 @@ class _Follower:
 
         The faces of a mesh cut corners, by more after many steps than may be lost. So points of them are brought to the
         surface of the field itself before they are moved, and distances from the moved faces are corrected by those of
-        the points from which they start. What lies inside of another part of the moved mesh is left out.
+        the points from which they start.
         """
         n, frame = self.sampling.given, field.box.frame
-        faces, shares = _spread(mesh, n, generator)
+        outer, distance = _outside(moved, cell=max(field.box.size) / self.resolution)
+        faces, shares = _spread(mesh, outer, n, generator)
         x = np.einsum("nk,nkd->nd", shares, mesh.vertices[faces])
         offset = np.einsum("nk,nkd->nd", shares, displacement[faces])
-        normals = np.einsum("nk,nkd->nd", shares, moved.vertex_normals[faces])
+        normal = torch.from_numpy(np.einsum("nk,nkd->nd", shares, moved.vertex_normals[faces]))
         points = _projected(field, torch.from_numpy(x)) + torch.from_numpy(offset)
-        gap = moved.distance(points)
-        cell = max(field.box.size) / self.resolution
-        out = (gap > -cell / 2) & field.box.contains(points)
-        points, gap, normal = (
-            points[out],
-            gap[out],
-            torch.nn.functional.normalize(torch.from_numpy(normals)[out], dim=1),
-        )
+        within = field.box.contains(points)
+        points, normal = points[within], torch.nn.functional.normalize(normal[within], dim=1)
         if len(points) < 4:
-            raise Vanished("evolve: the flow has taken the whole surface out of the box of the field.")
+            raise Vanished("evolve: the flow takes the whole surface out of the box of the field.")
+        gap = distance(points)
         spread = torch.full((len(points), 1), 0.02 * frame.scale, dtype=torch.float64)
         spread[2 * len(points) // 3 :] = 0.1 * frame.scale
         near = points + spread * torch.randn(points.shape, generator=generator, dtype=torch.float64)
@@ -255,10 +258,10 @@ class _Follower:
             frame.to_unit(points).to(like),
             normal.to(like),
             frame.to_unit(near).to(like),
-            ((moved.distance(near) - base) / frame.scale).to(like),
+            ((distance(near) - base) / frame.scale).to(like),
             frame.to_unit(far).to(like),
-            (moved.distance(far) / frame.scale).to(like),
-            moved.distance,
+            (distance(far) / frame.scale).to(like),
+            distance,
         )
 
     def _followed(self, field: Placed, wanted: _Wanted, generator: torch.Generator) -> tuple[Placed, float, int]:
@@ -285,6 +288,26 @@ class _Wanted:
     given: Given
 
 
+def _outside(mesh: Mesh, *, cell: float) -> tuple[np.ndarray, Callable[[Tensor], Tensor]]:
+    """The faces of a mesh with its inside on one side and the outside on the other, and the signed distance from them.
+
+    Inside is where the winding number is above 1/2. What is left out are parts of bodies that have run into each other,
+    and what has been turned inside out.
+    """
+    whole = TriangleDistance(mesh.vertices, mesh.faces)
+    middles, step = mesh.vertices[mesh.faces].mean(1), 0.01 * cell * np.asarray(mesh.face_normals)
+    outer = ((whole.winding(middles - step) > 0.5) & (whole.winding(middles + step) < 0.5)).nonzero()[0]
+    if not len(outer):
+        raise Vanished("evolve: the flow leaves nothing inside of the surface.")
+    nearest = TriangleDistance(mesh.vertices, mesh.faces[outer])
+
+    def distance(x: Tensor) -> Tensor:
+        points = x.double().numpy()
+        return torch.from_numpy(np.where(whole.winding(points) > 0.5, -1.0, 1.0) * nearest.closest(points).distance)
+
+    return outer, distance
+
+
 @torch.no_grad()
 def _gap(field: Placed, given: Given) -> float:
     """The mean distance of the wanted points from the surface of a field, to first order, in units."""
@@ -302,9 +325,10 @@ def _projected(field: Placed, x: Tensor, *, steps: int = 2) -> Tensor:
     return x
 
 
-def _spread(mesh: Mesh, n: int, generator: torch.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """The corners of n random faces, by area, and the shares of the corners in a uniform point of each."""
-    areas = torch.from_numpy(np.array(mesh.face_areas))
-    chosen = torch.multinomial(areas, n, replacement=True, generator=generator)
+def _spread(mesh: Mesh, among: np.ndarray, n: int, generator: torch.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """The corners of n of some faces, drawn by area, and the shares of the corners in a uniform point of each."""
+    total = torch.from_numpy(np.cumsum(mesh.face_areas[among]))
+    u = torch.rand(n, generator=generator, dtype=torch.float64) * total[-1]
+    chosen = torch.searchsorted(total, u, right=True).clamp_max(len(among) - 1)
     u = -torch.log1p(-torch.rand(n, mesh.faces.shape[1], generator=generator, dtype=torch.float64))
-    return mesh.faces[chosen.numpy()], (u / u.sum(1, keepdim=True)).numpy()
+    return mesh.faces[among[chosen.numpy()]], (u / u.sum(1, keepdim=True)).numpy()

@@ -100,12 +100,14 @@ class Keyframed(Field):
             pieces.append(part(i, rows))
             places.append(rows)
         back = torch.cat(places).argsort()
-        value, first, second = (
-            None if planes[0] is None else torch.cat(planes)[back]
-            for planes in ([p.value for p in pieces], [p.first for p in pieces], [p.second for p in pieces])
-        )
+
+        def together(planes: Sequence[Tensor | None]) -> Tensor | None:
+            whole = [plane for plane in planes if plane is not None]
+            return torch.cat(whole)[back] if whole else None
+
+        value = together([piece.value for piece in pieces])
         assert value is not None
-        return Jet(value, first, second, self.space)
+        return Jet(value, together([p.first for p in pieces]), together([p.second for p in pieces]), self.space)
 
     def _moving(self, t: Tensor) -> Tensor:
         """1 between the first and the last time, 0 beyond them."""

@@ -21,7 +21,7 @@ LEVELS = (
     ("_version", "jets"),
     ("boxes", "curvature"),
     ("fields", "optimising"),
-    ("networks", "shapes", "minimising", "retimed"),
+    ("keyframed", "networks", "shapes", "minimising", "retimed"),
     ("equations", "conditions", "elasticity", "extraction", "measures", "progress"),
     ("averaging", "rendering", "transported"),
     ("motion",),

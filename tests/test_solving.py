@@ -169,7 +169,8 @@ def test_divergence_stops_with_the_last_good_field():
 def test_a_volume_is_kept_and_the_longer_shape_becomes_rounder():
     field = solve(
         equations.VolumePreserving(equations.MeanCurvature(1.0)), network(),
-        at={0.0: Rectangle((0.8, 0.4), radius=0.1)}, until=0.03, budget=Budget(steps=250), sampling=Sampling(n=1024, given=5000),
+        at={0.0: Rectangle((0.8, 0.4), radius=0.1)}, until=0.03,
+        budget=Budget(steps=250), sampling=Sampling(n=1024, given=5000),
     )  # fmt: skip
     before, after = (extract(field.at(t), resolution=128, refine=3) for t in (0.0, 0.03))
     assert after.volume == pytest.approx(before.volume, rel=5e-3)

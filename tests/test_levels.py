@@ -56,7 +56,7 @@ STEPS = {
         ("painting", "ply", "scene", "sequences", "tracking", "volumes"),
         ("gltf", "paraview", "usd", "vdb"),
     ),
-    "flows": (("flow",),),
+    "flows": (("flow", "laplacian", "normals"), ("curvature", "descent", "prescribed", "volume")),
     "networks": (("lipschitz", "siren"), ("invertible", "lifting", "periodic")),
     "rendering": (
         ("camera", "colours", "quantities"),

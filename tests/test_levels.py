@@ -22,7 +22,7 @@ LEVELS = (
     ("boxes", "curvature"),
     ("fields", "optimising"),
     ("networks", "shapes", "minimising"),
-    ("equations", "conditions", "elasticity", "extraction", "measures", "progress"),
+    ("equations", "conditions", "elasticity", "extraction", "measures", "progress", "steepness"),
     ("motion", "rendering", "transported"),
     ("flows",),
     ("fitting", "solving", "evolution", "deformation", "filtering", "recovery"),
@@ -35,8 +35,8 @@ STEPS = {
     "cli": (("names",), ("lifting", "running", "showing", "taking", "viewing"), ("commands",)),
     "equations": (
         ("equation",),
-        ("curvature", "eikonal", "family", "morph", "regional", "stationary", "transport"),
-        ("described", "simplicial"),
+        ("curvature", "eikonal", "family", "morph", "regional", "stationary", "transport", "unconstrained"),
+        ("approach", "described", "simplicial"),
     ),
     "export": (
         ("frames", "normal_motion", "printing"),

@@ -1,5 +1,6 @@
 """Equations of motion, and the velocity fields for `Transport`."""
 
+from levelflow.equations.approach import Approach
 from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.equation import Equation, LevelSetEquation
@@ -9,8 +10,10 @@ from levelflow.equations.regional import Regional
 from levelflow.equations.simplicial import SimplicialMorph
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
+from levelflow.equations.unconstrained import Unconstrained
 
 __all__ = [
+    "Approach",
     "Constant",
     "Eikonal",
     "Equation",
@@ -26,5 +29,6 @@ __all__ = [
     "SumOfVelocities",
     "Transport",
     "Twist",
+    "Unconstrained",
     "VelocityField",
 ]

@@ -11,10 +11,22 @@ from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.equation import Equation
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
+from levelflow.equations.unconstrained import Unconstrained
 
 _KNOWN: Mapping[str, Any] = {
     kind.__name__: kind
-    for kind in (Constant, Eikonal, MeanCurvature, Rotation, Source, Stationary, SumOfVelocities, Transport, Twist)
+    for kind in (
+        Constant,
+        Eikonal,
+        MeanCurvature,
+        Rotation,
+        Source,
+        Stationary,
+        SumOfVelocities,
+        Transport,
+        Twist,
+        Unconstrained,
+    )
 }
 
 

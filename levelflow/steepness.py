@@ -9,7 +9,7 @@ from levelflow.networks.lipschitz import LipschitzMLP
 
 
 class Steepness:
-    r"""The bound $\prod_l \operatorname{softplus}(c_l)$ of all slopes of a `LipschitzMLP`, in space and time together.
+    r"""The bound $\prod_l e^{c_l}$ of all slopes of a `LipschitzMLP`, in space and time together.
 
     It is no mean over samples, so its one sample stands for all. A distance in normalised units has a bound of at least
     1, and a network starts with one of some thousands.
@@ -19,7 +19,7 @@ class Steepness:
     """
 
     name = "steepness"
-    weight = 1e-5
+    weight = 1e-4
 
     def __init__(self, network: LipschitzMLP) -> None:
         self.network = network

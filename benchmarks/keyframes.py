@@ -1,12 +1,27 @@
 """What comes between given shapes: every constraint on the same keyframes, beside a Lipschitz network.
 
-    python benchmarks/keyframes.py [PROBLEM ...] [--constraints NAME ...] [--steps 600] [-o keyframes.png]
+    python benchmarks/keyframes.py [PROBLEM ...] [--constraints NAME ...] [--steps 400] [-o keyframes.png]
     python benchmarks/keyframes.py --space 3
     python benchmarks/keyframes.py --mesh A B [C ...]
 
 A table for each problem with a row for each constraint, and one picture: a row for each constraint, time from left to
-right. Without `--space 3` or `--mesh` the shapes are curves in the plane. All rows have the same samples in a step and
-the same number of steps, except where a row says how many times more.
+right. Without `--space 3` or `--mesh` the shapes are curves in the plane. All rows draw as many samples in a step, and
+all but one take the same number of steps.
+
+Problems: `same` (one shape at both ends), `equal` (two shapes of equal topology), `split` (of different topology),
+`three` (three keyframes).
+
+Rows:
+    velocity           the speed -g of eqs. 8 and 9, without an end in time; for two shapes only
+    eikonal            |grad f| = 1, eq. 11
+    curvature          motion by mean curvature, eq. 12, at the rate 0.1 in length^2 per unit time
+    weak-curvature     the same at the rate 0.01
+    interpolation      `Morph`, which is nise-2023, eqs. 9 and 10, with an end in time
+    constant           f_t = 0, Sec. 6.3.5
+    nothing            the keyframes only
+    lipschitz          the keyframes only, of a `LipschitzMLP` with two layers more and its regulariser
+    lipschitz-lighter  the same with a tenth of the regulariser
+    lipschitz-longer   the same as `lipschitz` with four times the steps
 
 Columns, in the units of the shapes, whose longest side is about 1, and of the whole time, 1:
     ends     how far the surface is from the given shapes at their times: the mean, and the farthest point
@@ -15,8 +30,8 @@ Columns, in the units of the shapes, whose longest side is about 1, and of the w
     bend     the mean size of the second difference in time of the surface's place, along its normal
     area     how far the area strays from the line between those of the given shapes: the mean, as a part of the line
     volume   the same for the volume
-    parts    the least and greatest number of bodies in a frame
-    s        seconds of training
+    parts    the least and greatest number of bodies in a frame, holes counted
+    s        seconds of training, of the processor
 
 Reference:
     Novello et al., Neural homotopies (2022), Secs. 4.3 and 6.3; Neural Implicit Surface Evolution, ICCV 2023, Sec. 6.3
@@ -26,32 +41,27 @@ Reference:
 from __future__ import annotations
 
 import argparse
+import math
 import time
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
+from unittest import mock
 
 import numpy as np
 import torch
 
-from levelflow import SIREN, Box, Budget, Field, LipschitzMLP, Mesh, Sampling, contact_sheet, extract, shapes, solve
+from levelflow import SIREN, Box, Budget, Field, LipschitzMLP, Mesh, Placed, Sampling, contact_sheet, extract, solve
 from levelflow.curvature import gradient_norm
-from levelflow.equations import (
-    Approach,
-    Eikonal,
-    Equation,
-    MeanCurvature,
-    Morph,
-    Stationary,
-    Unconstrained,
-)
+from levelflow.equations import Approach, Eikonal, Equation, MeanCurvature, Morph, Stationary, Unconstrained
 from levelflow.extraction import EmptyLevelSet
 from levelflow.measures import surface_distance
 from levelflow.rendering.images import stack
-from levelflow.shapes import Solid
+from levelflow.shapes import Circle, Cuboid, Polygon, Rectangle, SmoothUnion, Solid, Sphere, Torus
 from levelflow.shapes.implicit import NoSurface
+from levelflow.steepness import Steepness
 
 Keys = Mapping[float, Solid]
 LAST = 5.0
@@ -59,11 +69,12 @@ LAST = 5.0
 
 
 class Constraint(NamedTuple):
-    """What is asked between the shapes, of which network, and how many times longer it trains."""
+    """What is asked between the shapes, of which network, how many times longer it trains, and its regulariser."""
 
     equation: Callable[[Keys], Equation]
     network: type[SIREN] | type[LipschitzMLP] = SIREN
     longer: int = 1
+    weight: float = Steepness.weight
 
 
 def towards(keys: Keys) -> Approach:
@@ -73,41 +84,42 @@ def towards(keys: Keys) -> Approach:
 
 
 CONSTRAINTS: Mapping[str, Constraint] = {
-    "velocity -g (8, 9)": Constraint(towards),
-    "eikonal (11)": Constraint(lambda keys: Eikonal()),
-    "curvature 0.1 (12)": Constraint(lambda keys: MeanCurvature(0.1)),
-    "curvature 0.01 (12)": Constraint(lambda keys: MeanCurvature(0.01)),
+    "velocity": Constraint(towards),
+    "eikonal": Constraint(lambda keys: Eikonal()),
+    "curvature": Constraint(lambda keys: MeanCurvature(0.1)),
+    "weak-curvature": Constraint(lambda keys: MeanCurvature(0.01)),
     "interpolation": Constraint(lambda keys: Morph({t: shape for t, shape in keys.items() if t > 0})),
     "constant": Constraint(lambda keys: Stationary()),
     "nothing": Constraint(lambda keys: Unconstrained()),
-    "Lipschitz": Constraint(lambda keys: Unconstrained(), LipschitzMLP),
-    "Lipschitz, 5 times": Constraint(lambda keys: Unconstrained(), LipschitzMLP, longer=5),
+    "lipschitz": Constraint(lambda keys: Unconstrained(), LipschitzMLP),
+    "lipschitz-lighter": Constraint(lambda keys: Unconstrained(), LipschitzMLP, weight=Steepness.weight / 10),
+    "lipschitz-longer": Constraint(lambda keys: Unconstrained(), LipschitzMLP, longer=4),
 }
 
 
-def problems(space: int) -> dict[str, Keys]:
-    """Keyframes made of built-in shapes."""
-    if space == 2:
-        angles = torch.arange(10) * torch.pi / 5
-        radii = torch.tensor([0.6, 0.3] * 5)
-        star = shapes.Polygon(
-            tuple(map(tuple, torch.stack([-angles.sin(), angles.cos()], 1).mul(radii[:, None]).tolist()))
-        )
-        block, ball, one = (
-            shapes.Rectangle((1.0, 0.5), radius=0.05),
-            shapes.Circle(0.45),
-            shapes.Circle(0.28, (-0.4, 0.0)),
-        )
-        two = shapes.SmoothUnion(one, shapes.Circle(0.28, (0.4, 0.0)), 0.05)
-    else:
-        star, block = shapes.Torus(0.42, 0.17), shapes.Cuboid((0.8, 0.8, 0.8), radius=0.05)
-        ball, one = shapes.Sphere(0.45), shapes.Sphere(0.28, (-0.4, 0.0, 0.0))
-        two = shapes.SmoothUnion(one, shapes.Sphere(0.28, (0.4, 0.0, 0.0)), 0.05)
+def in_the_plane() -> dict[str, Keys]:
+    """Keyframes made of built-in curves."""
+    corners = [((0.6, 0.3)[i % 2], math.pi * (0.5 + i / 5)) for i in range(10)]
+    star = Polygon(tuple((r * math.cos(a), r * math.sin(a)) for r, a in corners))
+    bar, disk = Rectangle((1.0, 0.5), radius=0.05), Circle(0.45)
+    two = SmoothUnion(Circle(0.28, (-0.4, 0.0)), Circle(0.28, (0.4, 0.0)), 0.05)
     return {
         "same": {0.0: star, 1.0: star},
-        "equal": {0.0: star, 1.0: block} if space == 2 else {0.0: block, 1.0: ball},
-        "split": {0.0: ball, 1.0: two} if space == 2 else {0.0: star, 1.0: block},
-        "three": {0.0: block, 0.5: star, 1.0: two},
+        "equal": {0.0: star, 1.0: bar},
+        "split": {0.0: disk, 1.0: two},
+        "three": {0.0: bar, 0.5: star, 1.0: two},
+    }
+
+
+def in_space() -> dict[str, Keys]:
+    """Keyframes made of built-in solids."""
+    ring, block, ball = Torus(0.42, 0.17), Cuboid((0.8, 0.8, 0.8), radius=0.05), Sphere(0.45)
+    two = SmoothUnion(Sphere(0.28, (-0.4, 0.0, 0.0)), Sphere(0.28, (0.4, 0.0, 0.0)), 0.05)
+    return {
+        "same": {0.0: ring, 1.0: ring},
+        "equal": {0.0: block, 1.0: ball},
+        "split": {0.0: ring, 1.0: block},
+        "three": {0.0: block, 0.5: ring, 1.0: two},
     }
 
 
@@ -205,7 +217,7 @@ def outwards(field: Field, x: torch.Tensor, t: float, surface: Mesh | None) -> n
     return np.where(inside, 1.0, -1.0) * surface.closest(x.numpy()).distance
 
 
-def solved(constraint: Constraint, keys: Keys, options: argparse.Namespace) -> Field:
+def solved(constraint: Constraint, keys: Keys, options: argparse.Namespace) -> Placed:
     """The field of a row."""
     space = next(iter(keys.values())).box.space
     width, depth = options.width, options.depth + (2 if constraint.network is LipschitzMLP else 0)
@@ -213,67 +225,67 @@ def solved(constraint: Constraint, keys: Keys, options: argparse.Namespace) -> F
     network = constraint.network(space, 1, width=width, depth=depth, generator=generator)
     equation = constraint.equation(keys)
     at = {0.0: keys[0.0]} if isinstance(equation, Approach) else keys
-    return solve(
-        equation, network, at=at, until=max(keys), budget=Budget(options.steps * constraint.longer),
-        sampling=Sampling(n=options.samples), seed=options.seed,
-    )  # fmt: skip
+    with mock.patch.object(Steepness, "weight", constraint.weight):
+        return solve(
+            equation, network, at=at, until=max(keys), budget=Budget(options.steps * constraint.longer),
+            sampling=Sampling(n=options.samples), seed=options.seed,
+        )  # fmt: skip
+
+
+def table(title: str, keys: Keys, options: argparse.Namespace) -> np.ndarray:
+    """Prints the rows of a problem, and returns their picture."""
+    space = next(iter(keys.values())).box.space
+    resolution = options.resolution or (160 if space == 2 else 64)
+    print(f"\n{title:<20}{HEAD}{'s':>6}", flush=True)
+    shown = np.linspace(0, max(keys), 7).tolist()
+    meshes: list[Mesh | None] = []
+    labels: list[str] = []
+    for name in options.constraints:
+        constraint = CONSTRAINTS[name]
+        if constraint.equation is towards and len(keys) > 2:
+            continue
+        started = time.process_time()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a surface that is lost is seen in the table
+            field = solved(constraint, keys, options)
+        seconds = time.process_time() - started
+        try:
+            text = str(judge(field, keys, frames=options.frames, resolution=resolution))
+        except NoSurface:
+            text = f"{'no surface at one of the given times':>{len(HEAD)}}"
+        print(f"{name:<20}{text}{seconds:>6.0f}", flush=True)
+        meshes += [mesh_of(field.at(t), field.box.during(), resolution) for t in shown]
+        labels += [name if t == 0 else f"t = {t:.2g}" for t in shown]
+    return contact_sheet(meshes, labels, columns=len(shown), size=options.size, title=title)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("problems", nargs="*", default=[], metavar="PROBLEM", help="same, equal, split, three; all")
+    parser.add_argument("problems", nargs="*", default=[], metavar="PROBLEM", help="all by default")
     parser.add_argument("--constraints", nargs="*", choices=CONSTRAINTS, default=list(CONSTRAINTS), metavar="NAME")
     parser.add_argument("--space", type=int, choices=(2, 3), default=2)
     parser.add_argument("--mesh", type=Path, nargs="+", help="two files or more, given at equal steps of time")
-    parser.add_argument("--steps", type=int, default=600)
+    parser.add_argument("--steps", type=int, default=400)
     parser.add_argument("--samples", type=int, default=2048)
     parser.add_argument("--width", type=int, default=64)
     parser.add_argument("--depth", type=int, default=3, help="hidden layers; a Lipschitz network has two more")
-    parser.add_argument("--resolution", type=int, help="of the meshes that are judged: 160 in the plane, 64 in space")
-    parser.add_argument("--frames", type=int, default=21)
+    parser.add_argument("--frames", type=int, default=21, help="that are judged")
+    parser.add_argument("--resolution", type=int, help="of their meshes: 160 in the plane and 64 in space by default")
+    parser.add_argument("--size", type=int, default=128, help="pixels of a picture of a frame")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-o", "--output", type=Path, default=Path("keyframes.png"))
     options = parser.parse_args()
-    known = problems(options.space)
+    known = in_the_plane() if options.space == 2 else in_space()
     if options.mesh:
-        meshes = [Mesh.read(path) for path in options.mesh]
-        if len(meshes) < 2:
+        if len(options.mesh) < 2:
             parser.error("--mesh: give two files or more")
-        known = {
-            " to ".join(path.stem for path in options.mesh): dict(
-                zip(np.linspace(0, 1, len(meshes)).tolist(), meshes, strict=True)
-            )
-        }
+        times = np.linspace(0, 1, len(options.mesh)).tolist()
+        title = " to ".join(path.stem for path in options.mesh)
+        known = {title: dict(zip(times, map(Mesh.read, options.mesh), strict=True))}
     if unknown := set(options.problems) - set(known):
         parser.error(f"there is no problem {', '.join(sorted(unknown))}; known are {', '.join(known)}")
     print(f"{options.steps} steps, {torch.get_num_threads()} threads, PyTorch {torch.__version__}")
-    sheets = []
-    for title in options.problems or known:
-        keys = known[title]
-        space = next(iter(keys.values())).box.space
-        resolution = options.resolution or (160 if space == 2 else 64)
-        print(f"\n{title:<20}{HEAD}{'s':>6}", flush=True)
-        rows: list[Mesh | None] = []
-        labels: list[str] = []
-        shown = np.linspace(0, max(keys), 7).tolist()
-        for name in options.constraints:
-            constraint = CONSTRAINTS[name]
-            if constraint.equation is towards and len(keys) > 2:
-                continue
-            started = time.perf_counter()
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # a surface that is lost is seen in the table
-                field = solved(constraint, keys, options)
-            seconds = time.perf_counter() - started
-            try:
-                text = str(judge(field, keys, frames=options.frames, resolution=resolution))
-            except NoSurface:
-                text = f"{'no surface at one of the given times':>62}"
-            print(f"{name:<20}{text}{seconds:>6.0f}", flush=True)
-            rows += [mesh_of(field.at(t), field.box.during(), resolution) for t in shown]
-            labels += [name if i == 0 else f"t = {t:.2g}" for i, t in enumerate(shown)]
-        sheets.append(contact_sheet(rows, labels, columns=len(shown), size=128, title=title))
-    stack(sheets, options.output)
+    stack([table(title, known[title], options) for title in options.problems or known], options.output)
     print(options.output)
 
 

@@ -1,5 +1,6 @@
 """Equations of motion, and the velocity fields for `Transport`."""
 
+from levelflow.equations.approach import Approach
 from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.equation import Equation, LevelSetEquation
@@ -10,10 +11,12 @@ from levelflow.equations.regional import Regional
 from levelflow.equations.simplicial import SimplicialMorph
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
+from levelflow.equations.unconstrained import Unconstrained
 from levelflow.equations.volume import VolumePreserving
 from levelflow.equations.willmore import Willmore
 
 __all__ = [
+    "Approach",
     "Constant",
     "Eikonal",
     "Equation",
@@ -30,6 +33,7 @@ __all__ = [
     "SumOfVelocities",
     "Transport",
     "Twist",
+    "Unconstrained",
     "VelocityField",
     "VolumePreserving",
     "Willmore",

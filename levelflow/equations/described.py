@@ -12,6 +12,7 @@ from levelflow.equations.equation import Equation
 from levelflow.equations.heat import Heat
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
+from levelflow.equations.unconstrained import Unconstrained
 
 _KNOWN: Mapping[str, Any] = {
     kind.__name__: kind
@@ -26,6 +27,7 @@ _KNOWN: Mapping[str, Any] = {
         SumOfVelocities,
         Transport,
         Twist,
+        Unconstrained,
     )
 }
 

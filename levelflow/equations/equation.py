@@ -69,6 +69,11 @@ class Equation(ABC):
         """The equations that the columns of the residual stand for."""
         return (self,)
 
+    @property
+    def leads_to(self) -> tuple[Box, ...]:
+        """The boxes of the shapes that it takes surfaces to, wherever they come from: a field for it reaches there."""
+        return ()
+
     def carry(
         self, x: Float[Tensor, "n d"], start: Float[Tensor, " n"], end: Float[Tensor, " n"], *, steps: int = 32
     ) -> Float[Tensor, "n d"] | None:
@@ -136,6 +141,10 @@ class Motions(LevelSetEquation):
     def __repr__(self) -> str:
         return " + ".join(map(repr, self.motions))
 
+    @property
+    def leads_to(self) -> tuple[Box, ...]:
+        return tuple(box for motion in self.motions for box in motion.leads_to)
+
     def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
         return torch.stack([motion.speed(x, t, jet) for motion in self.motions]).sum(0)
 
@@ -180,11 +189,14 @@ class Together(Equation):
         return torch.cat([e.error(x, t, jet).reshape(len(x), -1) for e in self.equations], dim=1)
 
 
-def _together(*equations: Equation) -> Together:
-    """The equations at once. There is one motion: speeds add up, wherever in the sum the motions stand."""
-    parts = [part for e in equations for part in (e.equations if isinstance(e, Together) else (e,))]
+def _together(*equations: Equation) -> Equation:
+    """The equations at once. There is one motion: speeds add up, wherever in the sum the motions stand.
+
+    What asks for nothing is left out.
+    """
+    parts = [part for e in equations for part in (e.equations if isinstance(e, Together) else (e,)) if part.columns]
     motions = [part for part in parts if isinstance(part, LevelSetEquation)]
     columns: list[Equation] = [part for part in parts if not isinstance(part, LevelSetEquation)]
     if motions:
         columns.insert(parts.index(motions[0]), reduce(add, motions))
-    return Together(*columns)
+    return columns[0] if len(columns) == 1 else Together(*columns)

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from levelflow.boxes import Box
 from levelflow.equations.equation import Equation, LevelSetEquation
 from levelflow.jets import Jet
 
@@ -75,6 +76,10 @@ class Along(Equation):
 
     def __repr__(self) -> str:
         return repr(self.motion)
+
+    @property
+    def leads_to(self) -> tuple[Box, ...]:
+        return self.motion.leads_to
 
     def carry(self, x: Tensor, start: Tensor, end: Tensor, *, steps: int = 32) -> Tensor | None:
         return self.motion.carry(x, start, end, steps=steps)

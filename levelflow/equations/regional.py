@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from levelflow.boxes import Box
 from levelflow.equations.equation import LevelSetEquation
 from levelflow.jets import Jet
 
@@ -46,6 +47,10 @@ class Regional(LevelSetEquation):
 
     def __repr__(self) -> str:
         return f"Regional({self.motion!r}, {self.mask!r})"
+
+    @property
+    def leads_to(self) -> tuple[Box, ...]:
+        return self.motion.leads_to
 
     def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
         return self._mask(x).to(jet.value) * self.motion.speed(x, t, jet)

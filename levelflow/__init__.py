@@ -31,6 +31,7 @@ _HOMES = {
     "Inverse": "networks.invertible",
     "InvertibleResNet": "networks.invertible",
     "Jet": "jets",
+    "Keyframed": "keyframed",
     "LipschitzMLP": "networks.lipschitz",
     "Map": "fields",
     "Mesh": "shapes",
@@ -50,6 +51,7 @@ _HOMES = {
     "Translated": "shapes",
     "Transported": "transported",
     "contact_sheet": "rendering",
+    "evolve": "evolution",
     "extract": "extraction",
     "film": "rendering",
     "fit": "fitting",
@@ -60,18 +62,20 @@ _HOMES = {
     "sliced": "networks.siren",
     "solve": "solving",
 }
-_MODULES = ("curvature", "equations", "export", "fields", "jets", "measures", "rendering", "shapes")
+_MODULES = ("curvature", "equations", "export", "fields", "flows", "jets", "measures", "rendering", "shapes")
 
 __all__ = ["__version__", *_HOMES, *_MODULES]
 
 if TYPE_CHECKING:
-    from levelflow import curvature, equations, export, fields, jets, measures, rendering, shapes
+    from levelflow import curvature, equations, export, fields, flows, jets, measures, rendering, shapes
     from levelflow.boxes import Box, Frame
     from levelflow.conditions import Sampling
+    from levelflow.evolution import evolve
     from levelflow.extraction import EmptyLevelSet, extract
     from levelflow.fields import Deformed, Field, Map, Placed
     from levelflow.fitting import fit
     from levelflow.jets import Jet
+    from levelflow.keyframed import Keyframed
     from levelflow.minimising import Budget, Divergence
     from levelflow.networks.invertible import Inverse, InvertibleResNet
     from levelflow.networks.lifting import lift

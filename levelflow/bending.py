@@ -25,7 +25,7 @@ class Agreement(Smoothing):
     """
 
     name = "curvature"
-    size = 10.0
+    weight, noise, bend, size = 2.0, 0.01, 0.03, 10.0
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class Bending(Agreement):
     """An equation of fourth order, and the agreement of its second network with the field."""
 
     name = "motion"
-    bond, ramp = 10.0, 0.4
+    bond, ramp = 3.0, 0.4
 
     def loss(self, *batch: Tensor) -> Tensor:
         (z,) = batch

@@ -100,6 +100,11 @@ class Box:
         """The box with every side moved out by `margin`, a length in the units of the box."""
         return Box(tuple(a - margin for a in self.lower), tuple(b + margin for b in self.upper), self.times)
 
+    def cube(self) -> Box:
+        """The cube about the same centre whose sides are as long as the longest side of the box."""
+        half = max(self.size) / 2
+        return Box(tuple(c - half for c in self.center), tuple(c + half for c in self.center), self.times)
+
     def during(self, *times: tuple[float, float]) -> Box:
         """The same box in space with the given time intervals."""
         return Box(self.lower, self.upper, times)

@@ -37,7 +37,8 @@ class Sampling:
 
     Attributes:
         n: Samples in a step.
-        space_time: The share drawn in space-time, for the equation; `fit` has none and shares it out to the others.
+        space_time: The share drawn in space-time, for the equation; where there is none, as in `fit`, the others get
+            it.
         surface: The share drawn on the given surfaces.
         volume: The share drawn off the given surfaces.
         given: Points prepared of each kind for every given shape, from which steps draw.
@@ -65,6 +66,11 @@ class Sampling:
         shares = (self.space_time, self.surface, self.volume)
         first, second, third = (max(1, round(self.n * share / sum(shares))) for share in shares)
         return first, second, third
+
+    def shared_out(self) -> tuple[int, int]:
+        """How many are drawn on and off the given surfaces where there is no equation: all of them."""
+        _, on, off = self.counts()
+        return round(self.n * on / (on + off)), round(self.n * off / (on + off))
 
 
 @dataclass(frozen=True)

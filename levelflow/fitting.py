@@ -14,13 +14,15 @@ from levelflow.conditions import Given, OffSurface, OnSurface, Sampling, box_aro
 from levelflow.fields import Field, Placed
 from levelflow.measures import accuracy
 from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
+from levelflow.networks.lipschitz import LipschitzMLP
 from levelflow.networks.periodic import Periodic, check_cell
 from levelflow.networks.siren import SIREN
 from levelflow.shapes.shape import Shape
+from levelflow.steepness import Steepness
 
 
 def fit(
-    network: SIREN | Periodic,
+    network: SIREN | LipschitzMLP | Periodic,
     shape: Shape | Field,
     *,
     box: Box | None = None,
@@ -33,7 +35,8 @@ def fit(
     r"""Fits a field to the signed distance of a shape.
 
     The loss is $f^2 + w |\nabla f - n|^2$ on the surface and $(f - d)^2$ off it, with exact distances within a quarter
-    of the half box and a bound beyond. A point cloud has no exact distance; it is estimated from the cloud.
+    of the half box and a bound beyond. A point cloud has no exact distance; it is estimated from the cloud. To a
+    `LipschitzMLP` its regulariser is added (`Steepness`).
 
     Args:
         network: A static network of the space of the shape; it is not changed.
@@ -55,13 +58,14 @@ def fit(
         ValueError: If the network depends on time, or its space is not that of the shape.
         Divergence: If training fails; its `field` is the last good one.
     """
+    kind = type(network).__name__
     if network.times:
-        raise ValueError(f"fit: the network depends on {network.times} time(s); give SIREN(time=0), or call solve.")
+        raise ValueError(f"fit: the network depends on {network.times} time(s); give {kind}(time=0), or call solve.")
     shape = surface_of(shape)
     if shape.box.space != network.space:
         raise ValueError(
             f"fit: the network has {network.space} space coordinates, the shape has {shape.box.space}; "
-            f"give SIREN({shape.box.space})."
+            f"give {kind}({shape.box.space})."
         )
     check_cell(network, box, call="fit")
     box = (box or box_around([shape.box])).during()
@@ -69,9 +73,10 @@ def fit(
     generator = torch.Generator().manual_seed(seed)
     like = next(field.parameters())
     given = Given.of(shape, box, n=sampling.given, generator=generator, like=like, periodic=network.periodic)
-    _, on, off = sampling.counts()
-    on, off = round(sampling.n * on / (on + off)), round(sampling.n * off / (on + off))
+    on, off = sampling.shared_out()
     terms: list[Term] = [OnSurface(field.field, given, (), n=on), OffSurface(field.field, given, (), n=off)]
+    if isinstance(field.field, LipschitzMLP):
+        terms.append(Steepness(field.field))
     try:
         progress = minimise(field.parameters(), terms, budget=budget, generator=generator, on_step=on_step, state=state)
     except Divergence as error:

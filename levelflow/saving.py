@@ -15,6 +15,7 @@ from levelflow._version import __version__
 from levelflow.boxes import Box
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, Velocity
 from levelflow.fields import Deformed, Field, Map, Placed, Slice
+from levelflow.keyframed import Keyframed
 from levelflow.minimising import Progress
 from levelflow.networks.invertible import Inverse, InvertibleResNet
 from levelflow.networks.lipschitz import LipschitzMLP
@@ -122,8 +123,8 @@ def _composition(made: Map) -> dict[str, Any]:
     kind: dict[str, Any] = {"type": type(made).__name__}
     refusal = TypeError(
         f"save: cannot write a {type(made).__name__}, since files hold no code; {', '.join(_NETWORKS)}, and what "
-        "Periodic, Inverse, Deformed, Slice and Placed make of them, can be saved. Distil the field into a network "
-        "with fit."
+        "Periodic, Inverse, Deformed, Keyframed, Slice and Placed make of them, can be saved. Distil the field into "
+        "a network with fit."
     )
     if not type(made).__module__.startswith("levelflow."):
         raise refusal  # a subclass from elsewhere, of whose code the file would know nothing
@@ -145,6 +146,8 @@ def _composition(made: Map) -> dict[str, Any]:
             return kind | {"field": _composition(made.field), "t": made.t}
         case Placed():
             return kind | {"field": _composition(made.field), "box": _described(made.box)}
+        case Keyframed():
+            return kind | {"fields": [_composition(cast(Map, field)) for field in made.fields], "times": made.knots}
     raise refusal
 
 
@@ -172,6 +175,8 @@ def _composed(described: Mapping[str, Any]) -> Map:
             return Deformed(_field(arguments["field"]), _composed(arguments["deformation"]))
         case "Slice":
             return Slice(_field(arguments["field"]), arguments["t"])
+        case "Keyframed":
+            return Keyframed([_field(one) for one in arguments["fields"]], arguments["times"])
         case "Placed":
             return Placed(_field(arguments["field"]), _box(arguments["box"]))
         case kind:

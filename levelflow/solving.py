@@ -23,8 +23,10 @@ from levelflow.measures import accuracy
 from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
 from levelflow.motion import Blend, Carried, Diffusion, Held, Motion, Smoothing
 from levelflow.networks.lifting import lift, replaced
+from levelflow.networks.lipschitz import LipschitzMLP
 from levelflow.networks.periodic import Periodic, check_cell
 from levelflow.networks.siren import SIREN
+from levelflow.steepness import Steepness
 from levelflow.transported import reach, reach_of_family
 
 Instant = float | tuple[float | None, ...]
@@ -36,7 +38,7 @@ Until = float | Sequence[float] | Sequence[float | Sequence[float] | None] | Non
 
 def solve(
     equation: Equation,
-    network: SIREN | Periodic,
+    network: SIREN | LipschitzMLP | Periodic,
     *,
     at: Mapping[float, Key] | Mapping[Instant, Key],
     until: Until = None,
@@ -53,7 +55,8 @@ def solve(
 
     The network f(x, t) is trained to vanish on the given surfaces at their times, with the given distances around them,
     and to satisfy the equation near its moving zero set in between. Where the equation is a motion by a velocity
-    field, the given distances are also carried along its characteristics.
+    field, the given distances are also carried along its characteristics. To a `LipschitzMLP` its regulariser is added
+    (`Steepness`); with `Unconstrained` that is all there is between the given shapes.
 
     Args:
         equation: The motion, in the units of the shapes.
@@ -65,7 +68,8 @@ def solve(
             may run backwards from a given shape: then curvature sharpens, which is ill-posed beyond a short while.
             With k parameters, one for each.
         start: A field to start from, such as one fitted to the first shape, or a motion to go on from: its network,
-            lifted to space-time and to the width and depth of `network`, replaces that one, frequency and all.
+            lifted to space-time and to the width and depth of `network`, replaces that one, frequency and all. Both
+            are a `SIREN`.
         box: Where the field is to be valid, in the units of the shapes. If left out, the box of the shapes, carried
             along with the motion where that is possible, and a margin. Its times are not used. The cell of a network
             that is periodic in space must be given.
@@ -73,7 +77,7 @@ def solve(
         sampling: How many samples a step draws, and of which kinds.
         warm_up: The part of the budget in which the equation is not yet asked for, only its simplest guess: the given
             shape standing still, or several of them blended. Not used with `start`, nor where the characteristics
-            are known.
+            are known, nor without an equation.
         seed: Of every random choice.
         on_step: Called with the progress after each step.
         state: Where an interrupted run goes on from (`Progress.state`).
@@ -98,7 +102,7 @@ def solve(
     _check_driven(equation, instants, network.times)
     if equation.averages and (network.times > 1 or not isinstance(equation, VolumePreserving)):
         raise ValueError(
-            f"solve: {equation!r} keeps a volume in a part; put the whole inside, VolumePreserving(a + b)."
+            f"solve: {equation!r} keeps the volume in one part only; put everything inside, VolumePreserving(a + b)."
         )
     intervals = _intervals(instants, until, network.times)
     if not 0 <= warm_up < 1:
@@ -123,9 +127,14 @@ def solve(
                 f"bound. It is trained back to t = {first:g}; keep such intervals short.",
                 stacklevel=2,
             )
-    if box is None and network.times == 1 and not isinstance(equation, Family):
-        box = reach(equation, {t: s for (t,), s in zip(instants, surfaces, strict=True)}, intervals[0])
-    box = (box or reach_of_family(equation, surfaces, instants, intervals)).during(*intervals)
+    if box is None:
+        if network.times == 1 and not isinstance(equation, Family):
+            box = reach(equation, {t: s for (t,), s in zip(instants, surfaces, strict=True)}, intervals[0])
+        else:
+            box = reach_of_family(equation, surfaces, instants, intervals)
+        if equation.averages or equation.bends:
+            box = box.cube()  # such a surface may grow where it was thin
+    box = box.during(*intervals)
     generator = torch.Generator().manual_seed(seed)
     if start is not None:
         network = _lifted(start, network, box, generator)
@@ -135,7 +144,7 @@ def solve(
         Given.of(key, box, n=sampling.given, generator=generator, like=like, periodic=network.periodic)
         for key in at.values()
     ]
-    n, on, off = sampling.counts()
+    n, on, off = sampling.counts() if equation.columns else (0, *sampling.shared_out())
     everywhere = any(column.is_rate for column in equation.columns)
     smooths = equation.order > 1 and not sharpens and len(at) == 1 and not everywhere
     band, normal = (math.inf, 0.0) if everywhere else (NARROW, 0.001) if smooths else (BAND, 0.01)
@@ -145,7 +154,11 @@ def solve(
         now = tuple(field.unit_times(torch.tensor([instant], dtype=torch.float64))[0].tolist())
         terms.append(OnSurface(field.field, samples, now, n=math.ceil(on / len(at)), normal=normal))
         terms.append(OffSurface(field.field, samples, now, n=math.ceil(off / len(at)), band=band))
-    if network.times == len(at) == 1 and equation.has_characteristics(box.space):
+    if isinstance(field.field, LipschitzMLP):
+        terms.append(Steepness(field.field))
+    if not equation.columns:
+        warm_up = 0.0
+    elif network.times == len(at) == 1 and equation.has_characteristics(box.space):
         ((t,),) = instants
         terms.append(Carried(field, equation, given[0], t, n=n, generator=generator))
         terms.append(Motion(field, equation, n=max(1, n // 4)))
@@ -192,7 +205,11 @@ def solve(
 def _for_curvature(field: Placed, generator: torch.Generator) -> SIREN:
     """A network for the curvature of a field, like that of the field itself."""
     network = field.field
-    assert isinstance(network, SIREN)
+    if not isinstance(network, SIREN):
+        raise ValueError(
+            f"solve: a motion of fourth order has a second network like the first, which must be a SIREN; this is a "
+            f"{type(network).__name__}."
+        )
     kappa = SIREN(
         network.space, network.times, width=network.width, depth=network.depth, omega=network.omega,
         generator=generator, dtype=field.dtype,
@@ -216,7 +233,7 @@ def _instant(key: Instant, k: int) -> tuple[float, ...]:
 
 def _check_driven(equation: Equation, instants: Sequence[tuple[float, ...]], k: int) -> None:
     """Refuses parameters that the equation does not know, and those with which nothing says how the surface changes."""
-    if (needed := 1 + max(column.parameter for column in equation.columns)) > k:
+    if (needed := 1 + max((column.parameter for column in equation.columns), default=0)) > k:
         raise ValueError(
             f"solve: {equation!r} needs {needed} parameters, and the network has {k}: SIREN(time={needed})."
         )
@@ -270,7 +287,7 @@ def _filled(instants: Sequence[tuple[float, ...]], intervals: Sequence[tuple[flo
     return [tuple(m if math.isnan(t) else t for t, m in zip(instant, middles, strict=True)) for instant in instants]
 
 
-def _lifted(start: Placed, network: SIREN | Periodic, box: Box, generator: torch.Generator) -> SIREN:
+def _lifted(start: Placed, network: SIREN | LipschitzMLP | Periodic, box: Box, generator: torch.Generator) -> SIREN:
     """The network of a field, lifted to space-time, to the size of another network and to another box."""
     if not isinstance(network, SIREN):
         raise ValueError(

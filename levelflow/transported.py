@@ -135,7 +135,7 @@ def _enough_steps(motion: Equation, box: Box, time: float) -> int:
 def reach(motion: Equation, surfaces: Mapping[float, Shape], ends: tuple[float, float]) -> Box:
     """A box around surfaces given at some times, and around where the motion carries them if it can be told."""
     first, last = ends
-    boxes = []
+    boxes = [box for column in motion.columns for box in column.leads_to]
     for t0, surface in surfaces.items():
         boxes.append(surface.box)
         x = surface.sample(2000, generator=torch.Generator().manual_seed(0)).points
@@ -155,6 +155,7 @@ def reach_of_family(
     As far as that can be told: for the motions of a `Family`.
     """
     boxes = [surface.box for surface in surfaces]
+    boxes += [box for column in family.columns for box in column.leads_to]
     motions = [column for column in family.columns if isinstance(column, Along)]
     for surface, start in zip(surfaces, starts, strict=True):
         x = surface.sample(2000, generator=torch.Generator().manual_seed(0)).points

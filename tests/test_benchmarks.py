@@ -6,6 +6,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -16,7 +17,7 @@ from levelflow.shapes import PointCloud
 from levelflow.shapes.implicit import Implicit
 from levelflow.suite import HALF_WAY
 from levelflow.suite.suite import along
-from tests.fields import differentiated
+from tests.fields import Explicit, differentiated
 
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
 
@@ -30,7 +31,7 @@ def benchmark(name):
     return module
 
 
-grid, recipe = benchmark("grid"), benchmark("recipe")
+grid, keyframes, recipe = benchmark("grid"), benchmark("keyframes"), benchmark("recipe")
 EXACT = {"dtype": torch.float64}
 
 
@@ -225,3 +226,32 @@ def test_time_for_measuring_does_not_count():
     with clock.stopped():
         time.sleep(0.2)
     assert clock.seconds < 0.1 and clock.spent < 1e-3
+
+
+@pytest.mark.parametrize(("power", "jump", "bend"), [(1, 1.0, 0.0), (2, 1.95, 0.4)], ids=["steady", "accelerated"])
+def test_a_growing_circle_is_judged_by_its_formulas(power, jump, bend):
+    """Its radius is 0.3 + 0.2 t^p: the path is as long as the radius grows, whatever the values of the field."""
+    growing = Explicit(
+        lambda x, t: (2 + x[:, 0]) * (x.norm(dim=1) - 0.3 - 0.2 * t[:, 0] ** power), 2, 1,
+        box=Box((-1.0, -1.0), (1.0, 1.0), ((0.0, 1.0),)),
+    )  # fmt: skip
+    found = keyframes.judge(growing, {0.0: Circle(0.3), 1.0: Circle(0.5)})
+    assert found.ends < 1e-4 and found.worst < 1e-3
+    assert found.length == pytest.approx(0.2, rel=1e-3)
+    assert found.jump == pytest.approx(jump, rel=0.01)
+    assert found.bend == pytest.approx(bend, abs=0.02)
+    t = np.linspace(0, 1, 21)
+    radius = 0.3 + 0.2 * t**power
+    assert found.area == pytest.approx(np.abs(radius / (0.3 + 0.2 * t) - 1).mean(), abs=1e-3)
+    assert found.volume == pytest.approx(np.abs(radius**2 / (0.09 + 0.16 * t) - 1).mean(), abs=1e-3)
+    assert found.parts == (1, 1)
+
+
+def test_what_leaves_the_box_or_vanishes_is_judged_as_well():
+    box = Box((-1.0, -1.0), (1.0, 1.0), ((0.0, 1.0),))
+    plane = keyframes.mesh_of(lambda x: x[:, 0], box.during(), 32)
+    assert plane.is_watertight and plane.volume == pytest.approx(2.0, abs=0.01)
+    shrinking = Explicit(lambda x, t: x.norm(dim=1) - 0.48 + t[:, 0], 2, 1, box=box)
+    found = keyframes.judge(shrinking, {0.0: Circle(0.48)}, resolution=64)
+    assert found.parts == (0, 1) and found.length == pytest.approx(0.45, abs=0.06)
+    assert "0-1" in str(found) and len(str(found)) == len(keyframes.HEAD)

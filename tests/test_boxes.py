@@ -114,3 +114,8 @@ def test_points_come_in_on_the_other_side_along_the_axes_that_repeat() -> None:
     assert torch.equal(box.wrapped(x, (0,)), torch.tensor([[1.5, -1.0], [1.5, -1.0], [1.0, 3.0], [1.0, 0.0]]).double())
     assert torch.equal(box.wrapped(x, ()), x)
     assert BOX.wrapped(x.new_tensor([BOX.upper]), range(BOX.space)).tolist() == [list(BOX.lower)]
+
+
+def test_a_cube_is_as_long_on_all_sides_as_the_longest() -> None:
+    cube = Box((0.0, 1.0, -4.0), (2.0, 2.0, 0.0)).during((0.0, 1.0)).cube()
+    assert (cube.lower, cube.upper, cube.times) == ((-1.0, -0.5, -4.0), (3.0, 3.5, 0.0), ((0.0, 1.0),))

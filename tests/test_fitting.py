@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from levelflow import SIREN, Box, Budget, Circle, Divergence, Periodic, Polygon, Rectangle, Sampling, fit
+from levelflow import SIREN, Box, Budget, Circle, Divergence, LipschitzMLP, Periodic, Polygon, Rectangle, Sampling, fit
 from levelflow.conditions import OnSurface
 from levelflow.shapes.cloud import PointCloud
 from levelflow.shapes.implicit import Implicit
@@ -51,14 +51,33 @@ def test_a_point_cloud_is_fitted_from_its_points(generator):
         assert field(torch.zeros(1, 2)).item() < 0 < field(torch.tensor([[2.4, 0.0]])).item()
 
 
+def test_a_lipschitz_network_is_fitted_and_its_bounds_fall(generator):
+    mine, seen = LipschitzMLP(2, width=16, depth=2), []
+    field = fit(
+        mine,
+        Circle(0.5),
+        budget=Budget(steps=400),
+        sampling=Sampling(n=256, given=5000),
+        on_step=lambda progress: seen.append(progress.losses),
+    )
+    assert {*seen[-1]} == {"surface", "distance", "steepness"}
+    points, _ = Circle(0.5).sample(2000, generator=generator)
+    with torch.no_grad():
+        assert field(points).abs().mean() < 0.01
+        assert field.field.lipschitz < 0.7 * mine.lipschitz
+        assert field.jet(field.box.uniform(500, generator=generator)).first.abs().sum(1).max() <= field.field.lipschitz
+
+
 def test_a_box_of_ones_own_is_kept():
     box = Box((-1.0, -2.0), (1.0, 2.0))
     assert fit(network(), Circle(0.5), box=box, budget=Budget(steps=1)).box == box
 
 
 def test_wrong_use_is_explained(monkeypatch):
-    with pytest.raises(ValueError, match=r"depends on 1 time"):
+    with pytest.raises(ValueError, match=r"depends on 1 time\(s\); give SIREN\(time=0\)"):
         fit(SIREN(2, 1), Circle(0.5))
+    with pytest.raises(ValueError, match=r"3 space coordinates, the shape has 2; give LipschitzMLP\(2\)"):
+        fit(LipschitzMLP(3), Circle(0.5))
     monkeypatch.setattr(OnSurface, "loss", lambda self, *batch: self.field(batch[0]) * float("nan"))
     with pytest.raises(Divergence, match="diverged") as caught:
         fit(network(), Circle(0.5), budget=Budget(steps=2))

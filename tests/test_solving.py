@@ -12,6 +12,7 @@ from levelflow import (
     Budget,
     Circle,
     Divergence,
+    LipschitzMLP,
     Periodic,
     Placed,
     Rectangle,
@@ -20,12 +21,15 @@ from levelflow import (
     extract,
     fit,
     lift,
+    load,
+    save,
     solve,
 )
 from levelflow.shapes.cloud import PointCloud
 from levelflow.shapes.implicit import Implicit
 from tests.fields import Explicit
 
+FEW = Sampling(n=512, given=10_000)
 QUICK = {"budget": Budget(steps=250), "sampling": Sampling(n=1024, given=20_000)}
 
 
@@ -43,6 +47,70 @@ def test_a_circle_shrinks_by_its_curvature(generator):
     for t in (0.0, 0.4, 0.8):
         exact = math.sqrt(0.25 - 0.2 * t)
         assert (radii(field, t, generator) - exact).abs().max() < 0.005
+
+
+def test_a_circle_approaches_another_exponentially(generator):
+    field = solve(
+        equations.Approach(Circle(0.8)), network(), at={0.0: Circle(0.4)}, until=1.5, budget=Budget(steps=400),
+        sampling=FEW,
+    )  # fmt: skip
+    assert field.box.upper[0] > 0.8
+    for t in (0.0, 0.5, 1.0, 1.5):
+        assert (radii(field, t, generator) - 0.8 + 0.4 * math.exp(-t)).abs().mean() < 0.006
+
+
+def test_without_an_equation_only_the_keyframes_are_given(generator):
+    """And all samples are theirs."""
+    seen, keys = [], {0.0: Circle(0.3), 0.5: Circle(0.5), 1.0: Circle(0.4)}
+    field = solve(
+        equations.Unconstrained(),
+        network(),
+        at=keys,
+        budget=Budget(steps=250),
+        sampling=FEW,
+        on_step=lambda progress: seen.append(progress.losses),
+    )
+    assert all({*losses} == {"surface", "distance"} for losses in seen)
+    assert field.provenance["equation"] == "Unconstrained()" and field.provenance["warm_up"] == 0
+    for t, shape in keys.items():
+        assert (radii(field, t, generator) - shape.radius).abs().max() < 0.005
+
+
+def test_a_lipschitz_network_is_smooth_between_keyframes_and_comes_back_from_its_file(generator, tmp_path):
+    seen, mine = [], LipschitzMLP(2, 1, width=16, depth=2)
+    field = solve(
+        equations.Unconstrained(), mine, at={0.0: Circle(0.3), 1.0: Circle(0.5)}, budget=Budget(steps=400),
+        sampling=FEW, on_step=lambda progress: seen.append(progress.losses),
+    )  # fmt: skip
+    assert {*seen[-1]} == {"surface", "distance", "steepness"}
+    assert field.field.lipschitz < 0.9 * mine.lipschitz
+    for t, radius in ((0.0, 0.3), (1.0, 0.5)):
+        assert (radii(field, t, generator) - radius).abs().mean() < 0.02
+    between = radii(field, 0.5, generator)
+    assert between.min() > 0.25
+    assert between.max() < 0.55
+    save(field, tmp_path / "f.safetensors")
+    again = load(tmp_path / "f.safetensors")
+    x, t = field.box.uniform(50, generator=generator), field.box.uniform_times(50, generator=generator)
+    assert torch.equal(field(x, t), again(x, t)) and again.provenance == field.provenance
+    assert isinstance(again.field, LipschitzMLP) and torch.equal(again.field.lipschitz, field.field.lipschitz)
+
+
+@pytest.mark.parametrize(
+    ("equation", "radius"),
+    [
+        (equations.MeanCurvature(0.1), lambda t: math.sqrt(0.25 - 0.2 * t)),
+        (equations.Morph(Circle(0.3)), lambda t: 0.5 - 0.2 * t),
+    ],
+    ids=["second order", "first order"],
+)
+def test_a_lipschitz_network_follows_an_equation(equation, radius, generator):
+    field = solve(
+        equation, LipschitzMLP(2, 1, width=16, depth=2), at={0.0: Circle(0.5)}, until=1.0, budget=Budget(steps=400),
+        sampling=FEW,
+    )  # fmt: skip
+    for t in (0.0, 0.5, 1.0):
+        assert (radii(field, t, generator) - radius(t)).abs().mean() < 0.02
 
 
 def test_backwards_in_time_it_grows(generator):
@@ -166,6 +234,35 @@ def test_divergence_stops_with_the_last_good_field():
     assert all(torch.isfinite(p).all() for p in caught.value.field.parameters())
 
 
+def test_a_volume_is_kept_and_the_longer_shape_becomes_rounder():
+    field = solve(
+        equations.VolumePreserving(equations.MeanCurvature(1.0)), network(),
+        at={0.0: Rectangle((0.8, 0.4), radius=0.1)}, until=0.03,
+        budget=Budget(steps=250), sampling=Sampling(n=1024, given=5000),
+    )  # fmt: skip
+    before, after = (extract(field.at(t), resolution=128, refine=3) for t in (0.0, 0.03))
+    assert after.volume == pytest.approx(before.volume, rel=5e-3)
+    assert after.area < 0.93 * before.area
+    assert len(set(field.box.size)) == 1
+
+
+@pytest.mark.parametrize(
+    ("equation", "inner", "message"),
+    [
+        (
+            equations.VolumePreserving(equations.MeanCurvature(1.0)) + equations.MeanCurvature(1.0),
+            SIREN(2, 1),
+            "put ever",
+        ),
+        (equations.Willmore(1.0), Periodic(SIREN(2, 2), time=True), "must be a SIREN"),
+    ],
+    ids=["volume of a part", "fourth order"],
+)
+def test_what_cannot_be_solved_is_explained(equation, inner, message):
+    with pytest.raises(ValueError, match=message):
+        solve(equation, inner, at={0.0: Circle(0.3)}, until=0.1, budget=Budget(steps=1))
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -195,6 +292,12 @@ def test_a_start_that_does_not_fit_is_explained(inner, place):
     problem = {"at": {0.0: Circle(0.5)}, "until": 1.0}
     with pytest.raises(ValueError, match=r"static or with as many times.*this one \(2 layers, 32 wide\)"):
         solve(equations.Stationary(), network(), start=Placed(inner, place), **problem)
+
+
+def test_a_lipschitz_network_has_no_start(generator):
+    start = Placed(SIREN(2, width=8), Circle(0.5).box)
+    with pytest.raises(ValueError, match=r"a LipschitzMLP cannot be lifted.*leave start out, or give SIREN\(2, 1\)"):
+        solve(equations.Stationary(), LipschitzMLP(2, 1, width=8), at={0.0: Circle(0.5)}, until=1.0, start=start)
 
 
 def test_a_smaller_start_is_lifted_and_a_lifted_field_is_a_start(generator):

@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from levelflow import SIREN, Box, Circle, Placed, Rectangle, extract
-from levelflow.equations import Constant, MeanCurvature, Rotation, Source, Stationary, Transport
+from levelflow.equations import Approach, Constant, Family, MeanCurvature, Rotation, Source, Stationary, Transport
 from levelflow.shapes import Sphere
 from levelflow.suite.cases import _enright
-from levelflow.transported import Transported
+from levelflow.transported import Transported, reach, reach_of_family
 from tests.fields import differentiated
 
 PLANE = Box((-1.0, -1.0), (1.0, 1.0), ((0.0, 2.0),))
@@ -79,3 +79,13 @@ def test_wrong_use_is_explained():
     for until in (None, 0.0):
         with pytest.raises(ValueError, match=r"given at t = 0; say how far to go"):
             Transported(Stationary(), Circle(0.5), until=until)
+
+
+def test_a_box_reaches_to_where_a_motion_leads():
+    here, there = Circle(0.5), Circle(0.5, center=(3.0, 0.0))
+    motion = Approach(there) + Stationary()
+    for box in (
+        reach(motion, {0.0: here}, (0.0, 1.0)),
+        reach_of_family(Family(Stationary(), motion), [here], [(0.0, 0.0)], [(0.0, 1.0), (0.0, 1.0)]),
+    ):
+        assert box.lower[0] < -0.5 and box.upper[0] > 3.5 and box.upper[1] < 1.1

@@ -1,23 +1,28 @@
 """Equations of motion, and the velocity fields for `Transport`."""
 
+from levelflow.equations.approach import Approach
 from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.equation import Equation, LevelSetEquation
 from levelflow.equations.family import Family
+from levelflow.equations.features import FeaturePreserving
 from levelflow.equations.heat import Heat
 from levelflow.equations.morph import Morph
 from levelflow.equations.regional import Regional
 from levelflow.equations.simplicial import SimplicialMorph
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
+from levelflow.equations.unconstrained import Unconstrained
 from levelflow.equations.volume import VolumePreserving
 from levelflow.equations.willmore import Willmore
 
 __all__ = [
+    "Approach",
     "Constant",
     "Eikonal",
     "Equation",
     "Family",
+    "FeaturePreserving",
     "Heat",
     "LevelSetEquation",
     "MeanCurvature",
@@ -30,6 +35,7 @@ __all__ = [
     "SumOfVelocities",
     "Transport",
     "Twist",
+    "Unconstrained",
     "VelocityField",
     "VolumePreserving",
     "Willmore",

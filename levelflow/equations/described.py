@@ -9,15 +9,18 @@ from typing import Any
 from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.equation import Equation
+from levelflow.equations.features import FeaturePreserving
 from levelflow.equations.heat import Heat
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
+from levelflow.equations.unconstrained import Unconstrained
 
 _KNOWN: Mapping[str, Any] = {
     kind.__name__: kind
     for kind in (
         Constant,
         Eikonal,
+        FeaturePreserving,
         Heat,
         MeanCurvature,
         Rotation,
@@ -26,6 +29,7 @@ _KNOWN: Mapping[str, Any] = {
         SumOfVelocities,
         Transport,
         Twist,
+        Unconstrained,
     )
 }
 

@@ -24,6 +24,7 @@ class Equation(ABC):
         is_rate: Whether its error is a rate of the values of f, in length per unit time. All values take part then, and
             not the zero set alone.
         sharpens: Whether it is ill-posed backwards in time.
+        bounded: Whether its speed stays bounded where the curvature does not.
         bends: Whether it needs derivatives of the curvature, `Jet.curvature`.
         averages: Whether it needs means over the whole surface; it is then to be the whole equation.
         parameter: Which of the times or parameters of the field it moves with, from 0.
@@ -33,6 +34,7 @@ class Equation(ABC):
     is_speed: bool = False
     is_rate: bool = False
     sharpens: bool = False
+    bounded: bool = False
     bends: bool = False
     averages: bool = False
     parameter: int = 0
@@ -68,6 +70,11 @@ class Equation(ABC):
     def columns(self) -> tuple[Equation, ...]:
         """The equations that the columns of the residual stand for."""
         return (self,)
+
+    @property
+    def leads_to(self) -> tuple[Box, ...]:
+        """The boxes of the shapes that it takes surfaces to, wherever they come from: a field for it reaches there."""
+        return ()
 
     def carry(
         self, x: Float[Tensor, "n d"], start: Float[Tensor, " n"], end: Float[Tensor, " n"], *, steps: int = 32
@@ -130,11 +137,16 @@ class Motions(LevelSetEquation):
         self.motions = motions
         self.order = max(motion.order for motion in motions)
         self.sharpens = any(motion.sharpens for motion in motions)
+        self.bounded = all(motion.bounded or motion.order == 1 for motion in motions)
         self.bends = any(motion.bends for motion in motions)
         self.averages = any(motion.averages for motion in motions)
 
     def __repr__(self) -> str:
         return " + ".join(map(repr, self.motions))
+
+    @property
+    def leads_to(self) -> tuple[Box, ...]:
+        return tuple(box for motion in self.motions for box in motion.leads_to)
 
     def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
         return torch.stack([motion.speed(x, t, jet) for motion in self.motions]).sum(0)
@@ -180,11 +192,14 @@ class Together(Equation):
         return torch.cat([e.error(x, t, jet).reshape(len(x), -1) for e in self.equations], dim=1)
 
 
-def _together(*equations: Equation) -> Together:
-    """The equations at once. There is one motion: speeds add up, wherever in the sum the motions stand."""
-    parts = [part for e in equations for part in (e.equations if isinstance(e, Together) else (e,))]
+def _together(*equations: Equation) -> Equation:
+    """The equations at once. There is one motion: speeds add up, wherever in the sum the motions stand.
+
+    What asks for nothing is left out.
+    """
+    parts = [part for e in equations for part in (e.equations if isinstance(e, Together) else (e,)) if part.columns]
     motions = [part for part in parts if isinstance(part, LevelSetEquation)]
     columns: list[Equation] = [part for part in parts if not isinstance(part, LevelSetEquation)]
     if motions:
         columns.insert(parts.index(motions[0]), reduce(add, motions))
-    return Together(*columns)
+    return columns[0] if len(columns) == 1 else Together(*columns)

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from levelflow.boxes import Box
 from levelflow.equations.equation import Equation, LevelSetEquation
 from levelflow.jets import Jet
 
@@ -71,10 +72,15 @@ class Along(Equation):
 
     def __init__(self, motion: LevelSetEquation, parameter: int) -> None:
         self.motion, self.parameter = motion, parameter
-        self.order, self.sharpens, self.bends = motion.order, motion.sharpens, motion.bends
+        self.order, self.sharpens = motion.order, motion.sharpens
+        self.bounded, self.bends = motion.bounded, motion.bends
 
     def __repr__(self) -> str:
         return repr(self.motion)
+
+    @property
+    def leads_to(self) -> tuple[Box, ...]:
+        return self.motion.leads_to
 
     def carry(self, x: Tensor, start: Tensor, end: Tensor, *, steps: int = 32) -> Tensor | None:
         return self.motion.carry(x, start, end, steps=steps)

@@ -8,10 +8,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from levelflow.boxes import Box
 from levelflow.equations.equation import LevelSetEquation
 from levelflow.fields import Field
 from levelflow.jets import Jet
-from levelflow.shapes.implicit import value_of
+from levelflow.shapes.implicit import Implicit, value_of
 from levelflow.shapes.shape import Solid
 from levelflow.shapes.tabulated import Tabulated
 
@@ -56,6 +57,10 @@ class Morph(LevelSetEquation):
     def __repr__(self) -> str:
         return f"Morph(towards {len(self.targets)} target(s) at t = {', '.join(f'{t:g}' for t in self.targets)})"
 
+    @property
+    def leads_to(self) -> tuple[Box, ...]:
+        return tuple(box for target in self.targets.values() for box in box_of(target))
+
     def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
         which, remaining, _ = self._next(t)
         return -gaps(self._values, which, x, jet) / remaining.clamp_min(_SOON).to(jet.value)
@@ -86,6 +91,13 @@ def gaps(goals: Sequence[Callable[[Tensor], Tensor]], which: Tensor, x: Tensor, 
                 value = goal(x[mine]).to(jet.value)
             gap[mine] = value - jet.value[mine]
     return gap
+
+
+def box_of(target: Solid | Field) -> tuple[Box, ...]:
+    """The box around a target; none for a field that is known everywhere."""
+    if isinstance(target, Solid):
+        return (target.box,)
+    return () if target.box is None else (Implicit(target).box,)
 
 
 def goal_of(shape: Solid | Field, *, call: str) -> Callable[[Tensor], Tensor]:

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from levelflow.boxes import Box
 from levelflow.equations.equation import LevelSetEquation
 from levelflow.jets import Jet
 
@@ -42,10 +43,14 @@ class Regional(LevelSetEquation):
             raise TypeError(f"Regional({motion!r}, {mask!r}): the mask is to be a function of points, or a field.")
         self.motion, self.mask = motion, mask
         self.order, self.sharpens = motion.order, motion.sharpens
-        self.bends, self.averages = motion.bends, motion.averages
+        self.bounded, self.bends, self.averages = motion.bounded, motion.bends, motion.averages
 
     def __repr__(self) -> str:
         return f"Regional({self.motion!r}, {self.mask!r})"
+
+    @property
+    def leads_to(self) -> tuple[Box, ...]:
+        return self.motion.leads_to
 
     def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
         return self._mask(x).to(jet.value) * self.motion.speed(x, t, jet)

@@ -8,6 +8,7 @@ import torch
 from levelflow import SIREN, Budget, Circle, Rectangle, Sampling, solve
 from levelflow.curvature import principal_curvatures
 from levelflow.equations import Family, FeaturePreserving, MeanCurvature, Regional, Stationary, Transport
+from levelflow.jets import Jet
 from levelflow.shapes.implicit import Implicit
 from tests.fields import Explicit, points, siren
 
@@ -29,7 +30,7 @@ def test_what_is_round_shrinks_by_curvature_above_the_least_radius_and_exponenti
         # Level sets that all have the radius of the moving one; the speed is asked for on it.
         field = Explicit(lambda x, t, r=start: x.norm(dim=1) - radius(t[:, 0], r, x.shape[1]), space, 1)
         x, t = points(field, 200)
-        t = 0.5 * (t + 1)
+        t = 0.2 * (t + 1)
         on = x / x.norm(dim=1, keepdim=True) * radius(t, start, space)
         jet = field.jet(on, t, order=2)
         assert motion.residual(on, t, jet).detach().abs().max() < 1e-12
@@ -73,19 +74,16 @@ def test_its_speed_is_bounded_and_sums_tell_whether_theirs_is():
     assert not MeanCurvature(1).bounded and not (motion + MeanCurvature(1)).bounded
 
 
-def test_the_gradient_of_its_error_is_finite_on_a_sphere():
-    field = Explicit(lambda x, t: x.norm(dim=1) - 0.5, 3, 1)
-    x, t = points(field)
-    jet = field.jet(x, t, order=2)
-    FeaturePreserving(RATE, THRESHOLD).speed(x, t, jet).sum().backward()
-    square = torch.eye(3, dtype=torch.float64).expand(1, 3, 3).clone().requires_grad_()
-    slope = torch.tensor([[0.0, 0.0, 1.0, 0.0]], dtype=torch.float64)
-    k = principal_curvatures(type(jet)(slope[:, 0], slope, square, 3))
-    (k[:, 0] + k[:, 1]).sum().backward()
-    assert torch.allclose(square.grad[0].diagonal(), torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64))
+def test_its_derivative_is_finite_where_the_curvatures_are_equal():
+    hessian = torch.eye(3, dtype=torch.float64)[None].requires_grad_()
+    slope = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
+    FeaturePreserving(RATE, 2.0).speed(slope, slope[:, :1], Jet(slope[:, 0], slope, hessian, 3)).sum().backward()
+    assert hessian.grad is not None
+    across = torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64)
+    assert torch.allclose(hessian.grad[0], -RATE * across.diag())
 
 
-@pytest.mark.parametrize(("start", "limit"), [(0.9, 0.004), (0.5, 0.015)])
+@pytest.mark.parametrize(("start", "limit"), [(0.9, 0.004), (0.5, 0.02)])
 def test_circles_are_solved_on_both_sides_of_the_threshold(start, limit, generator):
     field = solve(
         FeaturePreserving(RATE, THRESHOLD), SIREN(2, 1, width=32, depth=2), at={0.0: Circle(start)}, until=1.5,
@@ -100,12 +98,12 @@ def test_corners_stay_where_curvature_rounds_them(generator):
     square, sunk = Rectangle((1.2, 1.2)), []
     for motion in (FeaturePreserving(1.0, 8.0), MeanCurvature(1.0)):
         field = solve(
-            motion, SIREN(2, 1, width=48, depth=2, omega=15.0), at={0.0: square}, until=1.2e-3,
+            motion, SIREN(2, 1, width=64, omega=15.0), at={0.0: square}, until=1.2e-3,
             budget=Budget(steps=250), sampling=Sampling(n=1024, given=20_000),
         )  # fmt: skip
         points = Implicit(field.at(1.2e-3)).sample(4000, generator=generator).points
         sunk.append(float((points.abs() - 0.6).norm(dim=1).min()))
-    assert sunk[0] < 0.7 * sunk[1]
+    assert sunk[0] < 0.65 * sunk[1]
 
 
 @pytest.mark.parametrize(("rate", "threshold"), [(0.0, 1.0), (1.0, 0.0), (1.0, math.nan), (-1.0, 1.0)])

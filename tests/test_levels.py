@@ -33,7 +33,7 @@ LEVELS = (
     ("__main__",),
 )
 STEPS = {
-    "cli": (("names",), ("lifting", "retiming", "running", "showing", "taking", "viewing"), ("commands",)),
+    "cli": (("names",), ("following", "lifting", "retiming", "running", "showing", "taking", "viewing"), ("commands",)),
     "equations": (
         ("equation",),
         (

@@ -22,7 +22,7 @@ LEVELS = (
     ("boxes", "curvature"),
     ("fields", "optimising"),
     ("networks", "shapes", "minimising"),
-    ("equations", "conditions", "elasticity", "extraction", "measures", "progress"),
+    ("equations", "conditions", "elasticity", "extraction", "handles", "measures", "progress"),
     ("averaging", "rendering", "transported"),
     ("motion",),
     ("bending", "flows"),
@@ -45,7 +45,8 @@ STEPS = {
         ("painting", "ply", "scene", "sequences", "tracking", "volumes"),
         ("gltf", "paraview", "usd", "vdb"),
     ),
-    "flows": (("flow",),),
+    "flows": (("densifying", "flow"), ("editing",)),
+    "handles": (("regions",), ("handle",), ("reading",)),
     "networks": (("lipschitz", "siren"), ("invertible", "lifting")),
     "rendering": (
         ("camera", "colours", "quantities"),

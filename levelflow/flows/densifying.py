@@ -86,14 +86,14 @@ def arap(
     fixed: Fixed,
     positions: Float[np.ndarray, "k d"],
     *,
-    iterations: int = 100,
+    iterations: int = 50,
     start: Float[np.ndarray, "n d"] | None = None,
 ) -> Float[np.ndarray, "n d"]:
     r"""The positions of all vertices, some given, that leave the mesh as rigid as possible.
 
     The least $\sum_i \sum_{e \in N(i)} w_e |e' - R_i e|^2$ over positions and rotations $R_i$, where N(i) are the edges
     of all faces around vertex i and w their cotangent weights: rotations and positions are improved in turn until no
-    vertex moves by more than 1e-9 of the size. A rigid motion costs nothing, however large, but where the iteration
+    vertex moves by more than 1e-6 of the size. A rigid motion costs nothing, however large, but where the iteration
     ends depends on where it starts. A body without any given vertex stays where it is.
 
     Args:
@@ -133,7 +133,7 @@ def arap(
         moved = solve((pieces.gathered(turned) - pieces.stiffness @ known)[free])
         change = np.abs(moved - x[free]).max(initial=0.0)
         x[free] = moved
-        if change <= 1e-9 * max(mesh.box.size):
+        if change <= 1e-6 * max(mesh.box.size):
             break
     return x
 
@@ -218,6 +218,8 @@ class BlendedMotions:
 class AsRigidAsPossible:
     """Displacements after which the mesh is as rigid as possible; large rotations in one step.
 
+    An iteration takes about 4 ms for every thousand vertices, and the whole of `BlendedMotions` not much more.
+
     Attributes:
         iterations: See `arap`.
         start: What it begins with.
@@ -226,7 +228,7 @@ class AsRigidAsPossible:
         ValueError: If there are no iterations.
     """
 
-    iterations: int = 100
+    iterations: int = 50
     start: Densify = field(default_factory=BlendedMotions)
 
     def __post_init__(self) -> None:

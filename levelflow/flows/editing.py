@@ -137,19 +137,14 @@ def _carried(handle: Handle, start: float, end: float, x: Float[np.ndarray, "n d
     return handle.target(handle.origin(x, start), end)
 
 
-def handle_error(handles: Sequence[Handle], before: Mesh, after: Mesh) -> Spread:
-    """How far the surface after an edit is from where the handles want their vertices.
+def handle_error(edit: Edit, after: Mesh) -> Spread:
+    """How far the surface after an edit is from where the handles want the vertices that they held before it.
 
     The distance is to the nearest point of the surface, whose mesh may be another one: what slides along the surface
     goes unnoticed.
-
-    Args:
-        handles: What was asked.
-        before: The surface before the edit.
-        after: The surface after it.
     """
-    held = selected(handles, before.vertices, call="handle_error")
-    targets = [handle.target(before.vertices[mine], 1.0) for handle, mine in zip(handles, held, strict=True)]
+    x = edit.surface.vertices
+    targets = [pull.carry(x[pull.vertices]) for pull in edit.pulls(edit.surface, 0.0, 1.0)]
     distance = after.closest(np.concatenate(targets)).distance
     return Spread(float(distance.mean()), float(distance.max()))
 

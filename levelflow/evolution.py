@@ -127,7 +127,8 @@ def evolve(
     """
     if not (dt > 0 and math.isfinite(dt)) or min(steps, substeps) < 1 or not tolerance > 0:
         raise ValueError(
-            f"evolve(dt={dt:g}, steps={steps}, substeps={substeps}, tolerance={tolerance:g}): all of them must be positive."
+            f"evolve(dt={dt:g}, steps={steps}, substeps={substeps}, tolerance={tolerance:g}): all of them must be "
+            "positive."
         )
     networks, times, current = _begun(field, box)
     follower = _Follower(flow, resolution, substeps, tolerance, sampling, seed)

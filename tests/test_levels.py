@@ -22,7 +22,7 @@ LEVELS = (
     ("boxes", "curvature"),
     ("fields", "optimising"),
     ("keyframed", "networks", "shapes", "minimising", "retimed"),
-    ("equations", "conditions", "elasticity", "extraction", "measures", "progress", "steepness"),
+    ("equations", "conditions", "elasticity", "extraction", "handles", "measures", "progress", "steepness"),
     ("averaging", "rendering", "transported"),
     ("motion",),
     ("bending", "flows"),
@@ -57,7 +57,11 @@ STEPS = {
         ("painting", "ply", "scene", "sequences", "tracking", "volumes"),
         ("gltf", "paraview", "usd", "vdb"),
     ),
-    "flows": (("flow", "laplacian", "normals"), ("curvature", "descent", "prescribed", "volume")),
+    "flows": (
+        ("densifying", "flow", "laplacian", "normals"),
+        ("curvature", "descent", "editing", "prescribed", "volume"),
+    ),
+    "handles": (("regions",), ("handle",), ("reading",)),
     "networks": (("lipschitz", "siren"), ("invertible", "lifting", "periodic")),
     "rendering": (
         ("camera", "colours", "quantities"),

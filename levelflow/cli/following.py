@@ -114,7 +114,7 @@ def flow_named(text: str, rate: float | None, unit: float) -> Flow:
     slow = 1e-3 * unit**2 if rate is None else rate
     known: dict[str, Callable[[], Flow]] = {
         "curvature": lambda: flows.MeanCurvature(slow),
-        "taubin": lambda: flows.Taubin(slow),
+        "taubin": lambda: flows.Taubin(slow, -1.03 * slow),
         "offset": lambda: flows.NormalOffset(0.1 * unit if rate is None else rate),
         "area": lambda: flows.Descent(flows.area, slow),
     }

@@ -18,7 +18,7 @@ from unittest import mock
 import torch
 
 import levelflow.solving
-import levelflow.suite
+import levelflow.suite.suite
 from levelflow import SIREN, Budget, Cuboid
 from levelflow.conditions import BAND
 from levelflow.equations import LevelSetEquation
@@ -26,7 +26,7 @@ from levelflow.minimising import minimise
 from levelflow.motion import Smoothing
 from levelflow.optimising import SOAP
 from levelflow.shapes.implicit import NoSurface
-from levelflow.suite import CASES, Suite
+from levelflow.suite import CASES, Suite, rows
 
 Change = Callable[[], AbstractContextManager[object]]
 
@@ -38,7 +38,7 @@ def motion(**changed: float) -> list[Change]:
 
 def network(**changed: float) -> list[Change]:
     """Another start of the network."""
-    return [functools.partial(mock.patch.object, levelflow.suite, "SIREN", functools.partial(SIREN, **changed))]
+    return [functools.partial(mock.patch.object, levelflow.suite.suite, "SIREN", functools.partial(SIREN, **changed))]
 
 
 def optimiser(kind: Callable[..., torch.optim.Optimizer], rate: float) -> list[Change]:
@@ -90,7 +90,7 @@ def main() -> None:
                 changed.enter_context(change())
             for case in options.cases:
                 try:
-                    for row in suite.rows([case]):
+                    for row in rows(suite, [case]):
                         title = ", ".join(part for part in row.title.split(", ") if not part.startswith("t = "))
                         errors[title] = max(errors.get(title, 0.0), row.error)
                 except NoSurface:

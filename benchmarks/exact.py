@@ -28,7 +28,7 @@ from levelflow import Budget, Mesh, Sampling
 from levelflow.extraction import EmptyLevelSet
 from levelflow.minimising import DEFAULT_BUDGET
 from levelflow.shapes.implicit import NoSurface
-from levelflow.suite import CASES, Row, Suite
+from levelflow.suite import CASES, Row, Suite, rows
 
 
 def main() -> None:
@@ -48,9 +48,9 @@ def main() -> None:
     print(f"{'case':<48}{'limit':>7}{'ours':>10}{'s':>5}" + "".join(f"{name:>10}{'s':>5}" for name in options.against))
     missed = False
     for case in options.cases or CASES:
-        rows = list(ours.rows([case]))
-        others = [_rows(name, ours, case, rows, options.cells) for name in options.against]
-        for row in rows:
+        mine = list(rows(ours, [case]))
+        others = [_rows(name, ours, case, mine, options.cells) for name in options.against]
+        for row in mine:
             missed |= not row.error <= row.limit
             cells = [row, *(other.get(row.title) for other in others)]
             text = "".join(f"{'':>15}" if c is None else f"{c.error:>10.5f}{c.seconds:>5.0f}" for c in cells)
@@ -58,12 +58,12 @@ def main() -> None:
     sys.exit(missed)
 
 
-def _rows(name: str, ours: Suite, case: str, rows: list[Row], cells: int) -> dict[str, Row]:
+def _rows(name: str, ours: Suite, case: str, mine: list[Row], cells: int) -> dict[str, Row]:
     """The rows of a rival, by their titles; those that it is not asked for are absent."""
     if name == "grid":
         suite = Suite(ours.shape, ours.name, solver=functools.partial(grid.solve, resolution=cells))
     else:
-        budget = Budget(seconds=max(row.seconds for row in rows))
+        budget = Budget(seconds=max(row.seconds for row in mine))
         suite = Suite(ours.shape, ours.name, budget, Sampling(n=10_000), solver=recipe.solve)
     if case == "fit":
         return {}
@@ -71,10 +71,10 @@ def _rows(name: str, ours: Suite, case: str, rows: list[Row], cells: int) -> dic
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what a rival warns of is in its errors
         try:
-            for row in suite.rows([case]):
+            for row in rows(suite, [case]):
                 found[row.title] = row
         except (NoSurface, EmptyLevelSet):
-            lost = [row for row in rows if ", carried" not in row.title and row.title not in found]
+            lost = [row for row in mine if ", carried" not in row.title and row.title not in found]
             found |= {row.title: Row(row.title, math.inf, row.limit, row.seconds) for row in lost}
     return found
 

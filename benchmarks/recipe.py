@@ -44,7 +44,7 @@ from levelflow.measures import accuracy
 from levelflow.networks.lifting import lift
 from levelflow.shapes.implicit import NoSurface
 from levelflow.shapes.shape import Solid
-from levelflow.suite import _mean_distance, _radii
+from levelflow.suite.suite import mean_distance, radii
 from levelflow.transported import reach
 
 OMEGA = 30.0
@@ -273,16 +273,16 @@ def problems(solid: Solid, name: str) -> dict[str, Problem]:
 
     def radius(field: Placed) -> float:
         exact = [(i / 10, math.sqrt(0.25 - 0.04 * i)) for i in range(6)]
-        return max(float((_radii(field.at(t)) / r - 1).abs().max()) for t, r in exact)
+        return max(float((radii(field.at(t)) / r - 1).abs().max()) for t, r in exact)
 
     def ends(field: Placed) -> float:
         exact = ((0.0, 0.4), (1.0, 0.8))
-        return max(float((_radii(field.at(t)) - r).abs().max()) for t, r in exact) / field.box.frame.scale
+        return max(float((radii(field.at(t)) - r).abs().max()) for t, r in exact) / field.box.frame.scale
 
     rotation = Transport(Rotation(math.pi / 2, center=solid.box.center))
 
     def distance(field: Placed) -> float:
-        return max(_mean_distance(field, t, solid, rotation) for t in (0.0, 0.5, 1.0))
+        return max(mean_distance(field, t, solid, rotation) for t in (0.0, 0.5, 1.0))
 
     return {
         "sphere": Problem(

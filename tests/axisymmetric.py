@@ -27,7 +27,7 @@ class Neck:
     which it is stopped is about $\epsilon^2 / 2$.
 
     Attributes:
-        pinch: The time at which the neck at z = 0 closes.
+        pinch: The time at which the neck at z = 0 closes; NaN if it has not by the time `last`.
     """
 
     def __init__(
@@ -38,6 +38,7 @@ class Neck:
         n: int,
         stop: float,
         mask: Callable[[np.ndarray], np.ndarray] = np.ones_like,
+        last: float = 1.0,
     ) -> None:
         self._z = np.linspace(0, length, n + 1)
         h, moves = length / n, mask(self._z)
@@ -47,8 +48,8 @@ class Neck:
             slope, bend = (wide[2:] - wide[:-2]) / (2 * h), (wide[2:] + wide[:-2] - 2 * r) / h**2
             return moves * (bend / (1 + slope**2) - 1 / r)
 
-        self._run = _until(lambda r: r[0] - stop, rate, profile(self._z), method="LSODA", lband=1, uband=1)
-        self.pinch = float(self._run.t[-1]) + stop**2 / 2
+        self._run = _until(lambda r: r[0] - stop, rate, profile(self._z), last=last, method="LSODA", lband=1, uband=1)
+        self.pinch = float(self._run.t[-1]) + stop**2 / 2 if self._run.status == 1 else math.nan
 
     def radius(self, z: np.ndarray, t: float) -> np.ndarray:
         """The radius at heights z, at a time before the neck was stopped."""
@@ -87,14 +88,14 @@ def ring(major: float, minor: float, *, n: int = 64) -> float:
     return float(run.t[-1]) + (area(last) / (2 * np.pi) if area(last) < 1e-4 else last[:n].min() ** 2 / 2)
 
 
-def _until(event: Callable, rate: Callable, start: np.ndarray, **more: object):
+def _until(event: Callable, rate: Callable, start: np.ndarray, *, last: float = 1.0, **more: object):
     """The solution until the event becomes zero."""
 
     def stop(t: float, x: np.ndarray) -> float:
         return event(x)
 
     stop.terminal = True
-    return solve_ivp(rate, (0.0, 1.0), start, rtol=1e-8, atol=1e-10, events=stop, dense_output=True, **more)
+    return solve_ivp(rate, (0.0, last), start, rtol=1e-8, atol=1e-10, events=stop, dense_output=True, **more)
 
 
 class Revolved:

@@ -70,6 +70,30 @@ def test_the_dumbbell_of_the_demo_pinches_at_0_00759():
     assert abs(pinch(flow, last=0.01) / front.pinch - 1) < 1e-3
 
 
+def test_a_film_between_rings_too_far_apart_pinches_off_and_leaves_two():
+    """As the suite says: the front as far as it goes, the level set with the same mask on to the two films."""
+
+    def held(z):
+        return (0.4 - abs(z)).clip(0, 0.05) / 0.05
+
+    front = Neck(lambda z: np.full_like(z, 0.4), 0.6, n=300, stop=0.004, mask=held)
+    assert abs(front.pinch / 0.114624 - 1) < 1e-4
+    assert np.allclose(front.radius(np.array([0.0, 0.4, 0.5]), 0.05), [0.273302, 0.4, 0.4], atol=5e-5)
+    flow = Revolved(Tube(0.4, 0.0, 0.6), 0.6, 0.6, spacing=0.02, mask=held)
+    assert abs(pinch(flow, last=0.2) / front.pinch - 1) < 0.03
+    flow.run(0.2)
+    heights = [flow.on_axis(i) for i in range(len(flow.z))]
+    film = float(flow.z[[value < 0 for value in heights].index(True)])
+    assert abs(film - 0.376) < 0.02 and all(value < 0 for value in heights[-10:])
+
+
+def test_a_film_within_the_critical_distance_comes_to_rest_as_a_catenoid():
+    held = Neck(lambda z: 0.4 * np.cosh(z / 0.4) + 0.08 * np.clip(1 - (z / 0.25) ** 2, 0, None) ** 2, 0.5, n=200,
+                stop=0.004, mask=lambda z: np.clip((0.25 - abs(z)) / 0.05, 0, 1), last=0.25)  # fmt: skip
+    assert math.isnan(held.pinch)
+    assert np.allclose(held.radius(np.array([0.0, 0.2]), 0.25), 0.4 * np.cosh([0.0, 0.5]), rtol=5e-4)
+
+
 def test_what_does_not_happen_in_time_is_said():
     with pytest.raises(ValueError, match=r"time_of\(last=0.001\): the quantity is still -.*; wait longer"):
         pinch(Revolved(Sphere(0.5), 0.7, 0.7, spacing=0.1), last=0.001)

@@ -15,7 +15,8 @@ from levelflow.conditions import Given
 from levelflow.equations import Eikonal, LevelSetEquation, MeanCurvature, Morph, Rotation, Source, Stationary, Transport
 from levelflow.shapes import PointCloud
 from levelflow.shapes.implicit import Implicit
-from levelflow.suite import HALF_WAY, _along
+from levelflow.suite import HALF_WAY
+from levelflow.suite.suite import along
 from tests.fields import Explicit, differentiated
 
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
@@ -49,7 +50,7 @@ def test_on_a_grid_shifted_circles_morph_as_the_suite_says():
     field = grid.solve(Morph(ends[1.0]), at=ends, resolution=96, **EXACT)
     angle = torch.arange(7, dtype=torch.float64) * math.pi / 6
     across = torch.stack([angle.cos(), angle.sin()], dim=1)
-    found = _along(field.at(0.5), torch.tensor([0.05, 0.0], dtype=torch.float64), across)
+    found = along(field.at(0.5), torch.tensor([0.05, 0.0], dtype=torch.float64), across)
     assert (found - HALF_WAY).abs().max() < 3e-4
 
 

@@ -78,6 +78,7 @@ STEPS = {
         ("distance",),
         ("analytic", "cloud", "combined", "implicit", "mesh", "tabulated"),
     ),
+    "suite": (("solids", "suite"), ("films",), ("cases",)),
     "viewer": (("viewed",), ("packing",), ("frames",), ("page",), ("server",)),
 }
 LONGEST = 500

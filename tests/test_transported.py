@@ -6,7 +6,7 @@ import torch
 from levelflow import SIREN, Box, Circle, Placed, Rectangle, extract
 from levelflow.equations import Approach, Constant, Family, MeanCurvature, Rotation, Source, Stationary, Transport
 from levelflow.shapes import Sphere
-from levelflow.suite import _enright
+from levelflow.suite.cases import _enright
 from levelflow.transported import Transported, reach, reach_of_family
 from tests.fields import differentiated
 

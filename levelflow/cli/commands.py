@@ -346,7 +346,7 @@ def bench(
 
     from levelflow.minimising import DEFAULT_BUDGET, Budget
     from levelflow.shapes import Solid
-    from levelflow.suite import CASES, HEADER, Suite
+    from levelflow.suite import CASES, HEADER, Suite, rows
 
     if unknown := set(cases or ()) - set(CASES):
         raise ValueError(f"bench: there is no case {', '.join(sorted(unknown))}; known are {', '.join(CASES)}.")
@@ -356,7 +356,7 @@ def bench(
     each = DEFAULT_BUDGET if steps is None else Budget(steps)
     typer.echo(f"{torch.get_num_threads()} threads, PyTorch {torch.__version__}, {each.steps} steps each\n{HEADER}")
     missed = False
-    for row in Suite(solid, Path(shape).stem, each).rows(cases or list(CASES)):
+    for row in rows(Suite(solid, Path(shape).stem, each), cases or list(CASES)):
         typer.echo(str(row))
         missed |= not row.error <= row.limit
     if missed:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
+from PIL import Image
 
 from levelflow.shapes.writing import replace_file
 
@@ -84,17 +85,18 @@ class Record:
 
 def keep(picture: UInt8[np.ndarray, "h w 3"], path: Path) -> None:
     """Writes a picture with few colours, and smaller where that is not enough."""
-    from PIL import Image
-
     path.parent.mkdir(parents=True, exist_ok=True)
     image = Image.fromarray(picture)
-    while True:
-        data = io.BytesIO()
-        image.quantize(96, dither=Image.Dither.NONE).save(data, format="PNG", optimize=True)
-        if data.tell() <= LARGEST:
-            break
-        image = image.resize((image.width * 9 // 10, image.height * 9 // 10), Image.Resampling.LANCZOS)
+    while (data := _encoded(image)).tell() > LARGEST:
+        share = 0.95 * (LARGEST / data.tell()) ** 0.5
+        image = image.resize((round(image.width * share), round(image.height * share)), Image.Resampling.LANCZOS)
     replace_file(path, data.getvalue())
+
+
+def _encoded(image: Image.Image) -> io.BytesIO:
+    data = io.BytesIO()
+    image.quantize(96, dither=0).save(data, format="PNG", optimize=True)
+    return data
 
 
 def document(folder: Path, order: Sequence[str], tables: Mapping[int, str]) -> str:
@@ -165,8 +167,3 @@ def _text(cell: Cell) -> str:
     if cell is None:
         return ""
     return cell if isinstance(cell, str) else f"{cell:.2g}" if abs(cell) < 10 else f"{cell:.0f}"
-
-
-def stamped(record: Record, **more: object) -> Record:
-    """The record with what is known after its run."""
-    return replace(record, **more)  # type: ignore[arg-type]

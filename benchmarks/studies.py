@@ -25,6 +25,7 @@ from levelflow.measures import accuracy, residual_table
 from levelflow.minimising import Progress
 from levelflow.shapes import Solid
 from levelflow.shapes.shape import Samples
+from levelflow.shapes.tabulated import Tabulated
 
 STARTS = ("lifted", "standard")
 
@@ -157,7 +158,7 @@ def _both(
 def _ablation(run: Run, cases: Iterable[tuple[str, Setting, float, tuple[float, float], float]], what: str) -> Outcome:
     """A line for each case: label, setting, rate, interval, and the time that is shown."""
     cases = list(cases)
-    shape = Section(run.mesh("bunny.obj"))
+    shape = Tabulated(Section(run.mesh("bunny.obj")), resolution=192)
     narrowest = min(setting.width for _, setting, *_ in cases)
     small = replace(run, setting=replace(run.setting, width=narrowest))
     given = fit(small.network(0, space=2), shape, budget=small.budget, sampling=small.sampling, seed=run.seed)

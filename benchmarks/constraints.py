@@ -88,7 +88,6 @@ def solve(
     *,
     time: float = 0.0,
     interval: tuple[float, float],
-    weight: float,
     budget: Budget,
     sampling: Sampling,
     seed: int = 0,
@@ -101,7 +100,6 @@ def solve(
         shape: The shape given at `time`.
         time: When.
         interval: The times in which the equation is asked for.
-        weight: Of the square of the residual, beside that of distances.
         budget: Steps, or seconds.
         sampling: The samples of a step and their shares.
         seed: Of every random choice.
@@ -111,12 +109,10 @@ def solve(
     given = Given.of(shape, start.box, n=sampling.given, generator=generator, like=next(field.parameters()))
     now = tuple(field.unit_times(torch.tensor([[time]], dtype=torch.float64))[0].tolist())
     n, on, off = sampling.counts()
-    motion = Everywhere(field, equation, n=n)
-    motion.weight = weight
     terms: list[Term] = [
         OnSurface(field.field, given, now, n=on, normal=1e-3),
         Distances(field.field, given, now, n=off),
-        motion,
+        Everywhere(field, equation, n=n),
     ]
     minimise(field.parameters(), terms, budget=budget, generator=generator)
     return field

@@ -19,7 +19,21 @@ from jaxtyping import UInt8
 from results import Cell
 from torch import Tensor
 
-from levelflow import SIREN, Box, Budget, Field, Mesh, Placed, Sampling, Transported, contact_sheet, extract, fit, solve
+from levelflow import (
+    SIREN,
+    Box,
+    Budget,
+    Camera,
+    Field,
+    Mesh,
+    Placed,
+    Sampling,
+    Transported,
+    contact_sheet,
+    extract,
+    fit,
+    solve,
+)
 from levelflow.curvature import total_curvature
 from levelflow.equations import Constant, Eikonal, Equation, MeanCurvature, Morph, Source, Stationary, Transport, Twist
 from levelflow.extraction import EmptyLevelSet
@@ -108,16 +122,13 @@ class Run:
         budget = Budget(3 * self.setting.steps)
         return constraints.fit(self.network(0), shape, CUBE, budget=budget, sampling=self.sampling, seed=self.seed)
 
-    def constrained(
-        self, equation: Equation, start: Placed, shape: Solid, interval: tuple[float, float], weight: float
-    ) -> Placed:
+    def constrained(self, equation: Equation, start: Placed, shape: Solid, interval: tuple[float, float]) -> Placed:
         """A field of space and time by the papers' constraints."""
         return constraints.solve(
             equation,
             start,
             shape,
             interval=interval,
-            weight=weight,
             budget=self.budget,
             sampling=self.sampling,
             seed=self.seed,
@@ -146,12 +157,20 @@ def frames(f: Field, times: Sequence[float], *, resolution: int = 72) -> list[Me
     return found
 
 
-def sheet(rows: Mapping[str, Field], times: Sequence[float], *, size: int = 180) -> UInt8[np.ndarray, "h w 3"]:
-    """Pictures at some times, a row for each field, and its name on the left of the labels of a single camera."""
+def sheet(
+    rows: Mapping[str, Field], times: Sequence[float], *, size: int = 180, azimuth: float = 30.0
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Pictures at some times under one camera, a row for each field, with its name under the first."""
     rows_of = {name: frames(f, times) for name, f in rows.items()}
     meshes = [mesh for row in rows_of.values() for mesh in row]
-    labels = [f"t = {t:.3g}" if i or len(rows_of) == 1 else name for name in rows_of for i, t in enumerate(times)]
-    return contact_sheet(meshes, labels, columns=len(times), size=size)
+    labels = [
+        f"{name}, t = {t:.3g}" if not i and len(rows_of) > 1 else f"t = {t:.3g}"
+        for name in rows_of
+        for i, t in enumerate(times)
+    ]
+    seen = [mesh.vertices for mesh in meshes if mesh is not None]
+    camera = Camera.around(np.concatenate(seen), azimuth) if seen else None
+    return contact_sheet(meshes, labels, columns=len(times), size=size, camera=camera)
 
 
 def columns(f: Field, equation: Equation, shape: Solid, *, time: float = 0.0) -> list[float]:
@@ -196,23 +215,22 @@ def transported(run: Run, shape: Solid, times: Sequence[float]) -> Outcome:
     return Outcome(sheet(ways, times), lines)
 
 
-def moved(
-    run: Run, shape: Solid, motion: Transport, *, times: Sequence[float], weight: float = 1.0, interval=(-1.0, 1.0)
-) -> Outcome:
-    """A row of Table 1, in three ways."""
-    static = run.distance(shape)
+def moved(run: Run, shape: Solid, motion: Transport, *, times: Sequence[float], azimuth: float = 30.0) -> Outcome:
+    """A row of Table 1, in four ways."""
+    static, interval = run.distance(shape), (-1.0, 1.0)
     ways: dict[str, Field] = {
         "carried, a fit": Transported(motion, static, box=CUBE.during(interval)),
         "carried, the mesh itself": Transported(motion, shape, box=CUBE.during(interval)),
-        "one network, constraints": run.constrained(motion, static, shape, interval, weight),
-        "one network, default": run.solve(motion, {0.0: shape}, interval, box=CUBE),
+        "one network, constraints": run.constrained(motion, static, shape, interval),
+        "one network, default": run.solve(motion, {0.0: shape}, interval),
     }
     lines: list[list[Cell]] = []
     for way, f in ways.items():
         errors = [distance_from_moved(f, t, shape, motion) for t in times]
         lines.append([f"{way}: mean distance from the moved shape, at worst", max(errors), "no number"])
     shown = {way: ways[way] for way in ("carried, a fit", "one network, default")}
-    return Outcome(sheet(shown, times), lines, {way: columns(f, motion, shape) for way, f in ways.items()})
+    found = {way: columns(f, motion, shape) for way, f in ways.items()}
+    return Outcome(sheet(shown, times, azimuth=azimuth), lines, found)
 
 
 def twist(run: Run) -> Outcome:
@@ -227,21 +245,27 @@ def source_sink(run: Run) -> Outcome:
     shape = run.mesh("spot.obj")
     body, head = (0.0, -0.1, 0.3), (0.0, 0.3, -0.5)
     motion = Transport(Source(body, 1.0) + Source(head, -1.0))
-    return moved(run, shape, motion, times=(-1.0, 0.0, 1.0))
+    return moved(run, shape, motion, times=(-1.0, 0.0, 1.0), azimuth=210.0)
 
 
 def smoothed(
-    run: Run, shape: Solid, rate: float, *, times: Sequence[float], interval: tuple[float, float], weight: float = 1.0
+    run: Run,
+    shape: Solid,
+    rate: float,
+    *,
+    times: Sequence[float],
+    interval: tuple[float, float],
+    azimuth: float = 30.0,
 ) -> tuple[Placed, Placed, Outcome]:
     """A row of Table 2: the default of `solve` over the times of the figure, and the papers' constraints."""
     equation = MeanCurvature(rate)
-    default = run.solve(equation, {times[0]: shape}, times[-1], box=CUBE)
-    constrained = run.constrained(equation, run.distance(shape), shape, interval, weight)
+    default = run.solve(equation, {times[0]: shape}, times[-1])
+    constrained = run.constrained(equation, run.distance(shape), shape, interval)
     found = {
         "default": columns(default, equation, shape, time=times[0]),
         "constraints": columns(constrained, equation, shape),
     }
-    outcome = Outcome(sheet({"default": default}, times), [], found)
+    outcome = Outcome(sheet({"default": default}, times, azimuth=azimuth), [], found)
     first, last = interval
     outcome.notes.append(
         f"`default` is `solve` from t = {times[0]:g} to {times[-1]:g}, the times of the figure; `constraints` is "
@@ -271,7 +295,7 @@ def dumbbell(run: Run) -> Outcome:
     rate, pinch, vanished = 0.05, 0.0075904, 0.3**2 / 4
     f, other, outcome = smoothed(
         run, Dumbbell(0.3, 1.0, 0.12), rate,
-        times=(0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4), interval=(0.0, 0.4),
+        times=(0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4), interval=(0.0, 0.4), azimuth=75.0,
     )  # fmt: skip
     for way, g in (("default", f), ("constraints", other)):
         found = _change(lambda t, g=g: _at_origin(g, t) < 0, 0.0, 0.4)  # type: ignore[misc]

@@ -109,7 +109,7 @@ def test_the_residual_is_asked_for_everywhere(script, generator):
     """A circle that is moved: from one that stands still, the residual falls and the start stays."""
     constraints, motion = script("constraints"), Transport(Constant((0.2, 0.0)))
     still = constraints.fit(SIREN(2, width=24, depth=2), Circle(0.3), SQUARE, **QUICK)
-    moved = constraints.solve(motion, still, Circle(0.3), interval=(0.0, 1.0), weight=1.0, **QUICK)
+    moved = constraints.solve(motion, still, Circle(0.3), interval=(0.0, 1.0), **QUICK)
     table = residual_table(moved, motion, Circle(0.3), time=0.0, generator=generator)
     assert moved.box.times == ((0.0, 1.0),)
     assert table.equation.mean < 0.02 and table.surface.mean < 0.01

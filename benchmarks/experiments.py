@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import constraints
@@ -118,9 +118,18 @@ class Run:
         return fit(self.network(0), shape, budget=self.budget, sampling=self.sampling, seed=self.seed)
 
     def distance(self, shape: Solid) -> Placed:
-        """A static field with the distance in the whole of the papers' domain, from three times the steps."""
-        budget = Budget(3 * self.setting.steps)
-        return constraints.fit(self.network(0), shape, CUBE, budget=budget, sampling=self.sampling, seed=self.seed)
+        """A static field with the distance in the whole of the papers' domain.
+
+        Frequency 20 and eight times the steps of an evolution, each of which costs several times as much: tried on the
+        armadillo, where it halves the greatest error on the surface.
+        """
+        network = (
+            self.network(0)
+            if self.setting.omega
+            else SIREN(width=self.setting.width, depth=self.setting.depth, omega=20.0)
+        )
+        sampling, budget = replace(self.sampling, given=200_000), Budget(8 * self.setting.steps)
+        return constraints.fit(network, shape, CUBE, budget=budget, sampling=sampling, seed=self.seed)
 
     def constrained(self, equation: Equation, start: Placed, shape: Solid, interval: tuple[float, float]) -> Placed:
         """A field of space and time by the papers' constraints."""

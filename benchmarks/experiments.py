@@ -239,7 +239,7 @@ def moved(run: Run, shape: Solid, motion: Transport, *, times: Sequence[float], 
         lines.append([f"{way}: mean distance from the moved shape, at worst", max(errors), "no number"])
     shown = {way: ways[way] for way in ("carried, a fit", "one network, default")}
     found = {way: columns(f, motion, shape) for way, f in ways.items()}
-    return Outcome(sheet(shown, times, azimuth=azimuth), lines, found)
+    return Outcome(sheet(shown, times, azimuth=azimuth), lines, found, [run.distance_in_words])
 
 
 def twist(run: Run) -> Outcome:
@@ -274,7 +274,7 @@ def smoothed(
         "default": columns(default, equation, shape, time=times[0]),
         "constraints": columns(constrained, equation, shape),
     }
-    outcome = Outcome(sheet({"default": default}, times, azimuth=azimuth), [], found)
+    outcome = Outcome(sheet({"default": default}, times, azimuth=azimuth), [], found, [run.distance_in_words])
     first, last = interval
     outcome.notes.append(
         f"`default` is `solve` from t = {times[0]:g} to {times[-1]:g}, the times of the figure; `constraints` is "

@@ -34,7 +34,10 @@ from results import Record, document, keep
 from levelflow.shapes import Sphere
 from levelflow.shapes.writing import replace_file
 
-TABLES: Mapping[int, str] = {1: "motion by velocity fields", 2: "motion by mean curvature"}
+TABLES: Mapping[int, tuple[str, str]] = {
+    1: ("motion by velocity fields", ""),
+    2: ("motion by mean curvature", ""),
+}
 
 PUBLISHED_COLUMNS: Mapping[str, tuple[int, list[float]]] = {
     "twist": (1, [8e-4, 3e-3, 2e-3, 2.8e-2, 1e-5, 4e-4]),

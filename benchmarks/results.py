@@ -99,22 +99,22 @@ def _encoded(image: Image.Image) -> io.BytesIO:
     return data
 
 
-def document(folder: Path, order: Sequence[str], tables: Mapping[int, str]) -> str:
+def document(folder: Path, order: Sequence[str], tables: Mapping[int, tuple[str, str]]) -> str:
     """The document of the records in a folder.
 
     Args:
         folder: Where records and pictures lie.
         order: Names in the order of the document; others come after them.
-        tables: What the tables of columns show, by their numbers.
+        tables: What the tables of columns show, and what there is to say of them, by their numbers.
     """
     records = {path.stem: Record.read(path) for path in sorted(folder.glob("*.json"))}
     names = [name for name in order if name in records] + sorted(set(records) - set(order))
     found = [records[name] for name in names]
     parts = [HEAD]
-    for number, title in tables.items():
+    for number, (title, remark) in tables.items():
         rows = [record for record in found if record.table == number]
         if rows:
-            parts.append(_columns(number, title, rows))
+            parts += [_columns(number, title, rows), *([remark] if remark else [])]
     if missing := [name for name in order if name not in records]:
         parts.append(f"Not run yet: {', '.join(missing)}.")
     parts += [_section(record, folder) for record in found]
@@ -135,7 +135,7 @@ def _columns(number: int, title: str, rows: Sequence[Record]) -> str:
         lines.append(_line([f"**{record.name}**, published", *record.published_columns, ""]))
         for way, values in record.columns.items():
             missed = record.missed(way)
-            lines.append(_line([way, *values, "none" if not missed else f"{len(missed)} of 6"]))
+            lines.append(_line([way, *values, ", ".join(missed) if len(missed) < 4 else f"{len(missed)} of 6"]))
     return "\n".join(lines)
 
 

@@ -66,11 +66,13 @@ def test_a_document_is_put_together_from_records(script, tmp_path):
     record(results, "second", table=1, columns=columns, published_columns=[1e-3] * 6).write(tmp_path)
     record(results, "first", lines=[["radius", 0.51234, "no number"]], notes=["It is small."]).write(tmp_path)
     (tmp_path / "first.png").touch()
-    text = results.document(tmp_path, ["first", "second", "third"], {1: "balls", 2: "none"})
+    text = results.document(tmp_path, ["first", "second", "third"], {1: ("balls", "All of them."), 2: ("none", "")})
     assert text.index("## first") < text.index("## second") and "Not run yet: third." in text
     assert "![A ball](first.png)" in text and "second.png" not in text
     assert "## Table 1: balls" in text and "Table 2" not in text
-    assert "| ours | 0.0001 | 2 | 0.0001 | 0.0001 | 0.0001 | 0.0001 | 1 of 6 |" in text
+    assert (
+        "| ours | 0.0001 | 2 | 0.0001 | 0.0001 | 0.0001 | 0.0001 | on-surface max |" in text and "All of them." in text
+    )
     assert "| radius | 0.51 | no number |" in text and "It is small." in text
 
 

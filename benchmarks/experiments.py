@@ -365,6 +365,7 @@ def morphed(
     *,
     last: float = 0.5,
     same: bool = False,
+    azimuth: float = 30.0,
 ) -> Outcome:
     """One shape at t = 0 into another at the last time, by several equations in between."""
     first, second = shapes
@@ -379,7 +380,7 @@ def morphed(
         lines.append([f"{way}: mean residual in the box", float(residual.mean()), None])
         if same:
             lines.append([f"{way}: mean distance from the shape half way", _half_way(f, first, last / 2), None])
-    return Outcome(sheet(fields, times), lines)
+    return Outcome(sheet(fields, times, azimuth=azimuth), lines)
 
 
 def _half_way(f: Placed, shape: Solid, t: float) -> Cell:
@@ -424,7 +425,7 @@ def armadillo_armadillo(run: Run) -> Outcome:
 
 def spot_bob(run: Run) -> Outcome:
     """Bob into Spot by the motion towards a target."""
-    return _interpolated(run, run.mesh("bob.obj"), run.mesh("spot.obj"))
+    return _interpolated(run, run.mesh("bob.obj"), run.mesh("spot.obj"), azimuth=150.0)
 
 
 def falcon(run: Run) -> Outcome:
@@ -432,8 +433,10 @@ def falcon(run: Run) -> Outcome:
     return _interpolated(run, run.mesh("max-planck.obj"), run.mesh("falcon.obj"))
 
 
-def _interpolated(run: Run, first: Solid, second: Solid) -> Outcome:
-    return morphed(run, (first, second), {"morph": Morph(second)}, (0.0, 0.25, 0.5, 0.75, 1.0), last=1.0)
+def _interpolated(run: Run, first: Solid, second: Solid, *, azimuth: float = 30.0) -> Outcome:
+    return morphed(
+        run, (first, second), {"morph": Morph(second)}, (0.0, 0.25, 0.5, 0.75, 1.0), last=1.0, azimuth=azimuth
+    )
 
 
 def _seeded() -> torch.Generator:

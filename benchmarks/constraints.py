@@ -26,6 +26,9 @@ from levelflow.motion import Motion
 from levelflow.networks.lifting import lift
 from levelflow.shapes import Solid
 
+RATE = 1e-3
+"""The learning rate from a lifted field: a third of ours, with which the first steps undo much of the fit."""
+
 
 class Distances(OffSurface):
     r"""The distance itself, $(f - d)^2 + w\,(|\nabla f| - 1)^2$, half of it near the surface and half anywhere."""
@@ -114,5 +117,5 @@ def solve(
         Distances(field.field, given, now, n=off),
         Everywhere(field, equation, n=n),
     ]
-    minimise(field.parameters(), terms, budget=budget, generator=generator)
+    minimise(field.parameters(), terms, budget=budget, generator=generator, rate=RATE)
     return field

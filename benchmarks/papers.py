@@ -132,7 +132,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         f"{HOMOTOPIES}, A.3.1, Figs. 6 and 7",
         experiments.cube_sphere,
         Setting(128, 4, _epochs(6780, 40_000, 5000), 20.0, 15_000, (1, 1, 1)),
-        "Both arrive; under curvature it is round earlier.",
+        "Both arrive; under curvature, of rate 1, it is round earlier.",
     ),
     "armadillo-sphere": Experiment(
         "The armadillo into a sphere under mean curvature",

@@ -116,7 +116,7 @@ def test_the_residual_is_asked_for_everywhere(script, generator):
     assert moved.box.times == ((0.0, 1.0),)
     assert table.equation.mean < 0.02 and table.surface.mean < 0.01
     x = torch.tensor([[0.5, 0.0], [-0.1, 0.0], [0.9, 0.0]], dtype=torch.float64)
-    assert moved.at(1.0)(x).tolist() == pytest.approx([0.0, 0.0, 0.4], abs=0.03)
+    assert moved.at(1.0)(x).tolist() == pytest.approx([0.0, 0.0, 0.4], abs=0.06)
 
 
 @pytest.mark.slow

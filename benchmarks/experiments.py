@@ -48,9 +48,9 @@ CUBE = Box((-1.0,) * 3, (1.0,) * 3)
 AS_PUBLISHED = "rate 1, published"
 
 CONTRADICTION = (
-    "Two given shapes and motion by curvature contradict each other. With the published rate of 1 the first shape would "
-    "have vanished long before the second is due, and our training leaves the surface of neither in between; the paper "
-    "suggests a smaller rate, which is shown."
+    "Two given shapes and motion by curvature contradict each other. With the published rate of 1 the first shape "
+    "would have vanished long before the second is due, and our training leaves the surface of neither in between; "
+    "the paper suggests a smaller rate, which is shown."
 )
 
 POINTS = 1000

@@ -96,6 +96,18 @@ def test_curves_fall_to_the_right(script):
     assert rows[columns == columns.min()].mean() < 30 and rows[columns == columns.max()].mean() > 70
 
 
+def test_the_order_of_the_paper_is_counted(script):
+    studies = script("studies")
+    lines = [["a", 1.0, 1.0, 2.0, 3.0], ["b", 2.0, 0.5, 3.0, 0.1]]
+    text = studies.agreement(lines, {"data": [(0, 1)], "equation": [(0, 1)]})
+    assert "1 of 1 (data, lifted), 1 of 1 (data, standard), 0 of 1 (equation, lifted)" in text
+    assert "the lifted start is the better one in 3 of 4" in text
+    longest = {
+        name: max(max(pair) for pairs in order.values() for pair in pairs) for name, order in studies.ORDERS.items()
+    }
+    assert longest == {"interval": 8, "rate": 6, "proportions": 2, "width": 8}
+
+
 def test_distances_are_asked_for_everywhere(script, generator):
     """`fit` knows the distance near the surface; the constraints, wherever the box is."""
     network = SIREN(2, width=24, depth=2)

@@ -49,8 +49,8 @@ def rings(suite: Suite) -> Iterator[Row]:
 
     A cylinder of radius 0.4 that is held beyond |z| = 0.4, of rate 1: the radius of the neck, relative, the time of the
     pinch, and how far the two films that are left have come, each towards its ring. The truths are those of a front of
-    the profile r(z, t) with the same mask and, after the pinch, of a grid (to 0.002), both in tests/axisymmetric.py. The
-    greatest ratio of half the distance to the radius with a catenoid is 0.6627.
+    the profile r(z, t) with the same mask and, after the pinch, of a grid (to 0.002), both in tests/axisymmetric.py.
+    The greatest ratio of half the distance to the radius with a catenoid is 0.6627.
     """
     if suite.solver is not solve:
         return

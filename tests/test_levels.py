@@ -33,7 +33,12 @@ LEVELS = (
     ("__main__",),
 )
 STEPS = {
-    "cli": (("names",), ("following", "lifting", "retiming", "running", "showing", "taking", "viewing"), ("commands",)),
+    "cli": (
+        ("names",),
+        ("lifting", "retiming", "running", "showing", "taking", "viewing"),
+        ("following",),
+        ("commands",),
+    ),
     "equations": (
         ("equation",),
         (
@@ -78,7 +83,7 @@ STEPS = {
         ("distance",),
         ("analytic", "cloud", "combined", "implicit", "mesh", "tabulated"),
     ),
-    "suite": (("solids", "suite"), ("films",), ("cases",)),
+    "suite": (("solids", "suite"), ("energies", "films"), ("cases",)),
     "viewer": (("viewed",), ("packing",), ("frames",), ("page",), ("server",)),
 }
 LONGEST = 500

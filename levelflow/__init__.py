@@ -62,12 +62,12 @@ _HOMES = {
     "sliced": "networks.siren",
     "solve": "solving",
 }
-_MODULES = ("curvature", "equations", "export", "fields", "flows", "jets", "measures", "rendering", "shapes")
+_MODULES = ("curvature", "equations", "export", "fields", "flows", "handles", "jets", "measures", "rendering", "shapes")
 
 __all__ = ["__version__", *_HOMES, *_MODULES]
 
 if TYPE_CHECKING:
-    from levelflow import curvature, equations, export, fields, flows, jets, measures, rendering, shapes
+    from levelflow import curvature, equations, export, fields, flows, handles, jets, measures, rendering, shapes
     from levelflow.boxes import Box, Frame
     from levelflow.conditions import Sampling
     from levelflow.evolution import evolve

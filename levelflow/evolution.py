@@ -82,6 +82,7 @@ def evolve(
     steps: int,
     box: Box | None = None,
     resolution: int = 96,
+    substeps: int = 4,
     tolerance: float = TOLERANCE,
     sampling: Sampling = FOLLOWING,
     seed: int = 0,
@@ -106,6 +107,7 @@ def evolve(
         steps: How many steps.
         box: Where the field is to be valid, with room for the motion; the box of the field if left out.
         resolution: Cells of the extraction along the longest side of the box.
+        substeps: How many steps of the flow a step of time is for the mesh, which costs little.
         tolerance: The mean distance, in half sides of the box, within which the surface is to follow.
         sampling: How many samples a step of training draws.
         seed: Of every random choice. Each step has its own, so that a continued evolution is as one without a break.
@@ -123,10 +125,13 @@ def evolve(
     Reference:
         Mehta et al., A Level Set Theory for Neural Implicit Evolution under Explicit Flows, ECCV 2022, eqs. 4 and 5.
     """
-    if not (dt > 0 and math.isfinite(dt)) or steps < 1 or not tolerance > 0:
-        raise ValueError(f"evolve(dt={dt:g}, steps={steps}, tolerance={tolerance:g}): all of them must be positive.")
+    if not (dt > 0 and math.isfinite(dt)) or min(steps, substeps) < 1 or not tolerance > 0:
+        raise ValueError(
+            f"evolve(dt={dt:g}, steps={steps}, substeps={substeps}, tolerance={tolerance:g}): all of them must be "
+            "positive."
+        )
     networks, times, current = _begun(field, box)
-    follower = _Follower(flow, resolution, tolerance, sampling, seed)
+    follower = _Follower(flow, resolution, substeps, tolerance, sampling, seed)
     last = len(networks) - 1 + steps
     while len(networks) <= last:
         try:
@@ -179,6 +184,7 @@ class _Follower:
 
     flow: Flow
     resolution: int
+    substeps: int
     tolerance: float
     sampling: Sampling
     seed: int
@@ -215,16 +221,24 @@ class _Follower:
             raise NotFollowed(
                 f"evolve: at t = {time:g} the surface meets the box of the field; give evolve(box=...) more room."
             ) from warning
+        displacement, moved = np.zeros_like(mesh.vertices), mesh
+        for i in range(self.substeps):
+            part = self._displacement(moved, time + i * dt / self.substeps, dt / self.substeps)
+            displacement = displacement + part
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", MeshWarning)
+                moved = Mesh(mesh.vertices + displacement, mesh.faces)
+        return _Wanted(moved, self._samples(field, mesh, moved, displacement, generator))
+
+    def _displacement(self, mesh: Mesh, time: float, dt: float) -> np.ndarray:
+        """What the flow does to a mesh, if it does what a flow is to do."""
         displacement = self.flow.displacement(mesh, dt, time=time)
         if displacement.shape != mesh.vertices.shape or not np.isfinite(displacement).all():
             raise ValueError(
                 f"evolve: {self.flow!r} moves vertices {mesh.vertices.shape} by an array of the shape "
                 f"{displacement.shape}" + (" that is not finite." if displacement.shape == mesh.vertices.shape else ".")
             )
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", MeshWarning)
-            moved = Mesh(mesh.vertices + displacement, mesh.faces)
-            return _Wanted(moved, self._samples(field, mesh, moved, displacement, generator))
+        return displacement
 
     def _samples(
         self, field: Placed, mesh: Mesh, moved: Mesh, displacement: np.ndarray, generator: torch.Generator
@@ -233,32 +247,33 @@ class _Follower:
 
         The faces of a mesh cut corners, by more after many steps than may be lost. So points of them are brought to the
         surface of the field itself before they are moved, and distances from the moved faces are corrected by those of
-        the points from which they start.
+        the points from which they start. What has come to lie inside is not on the surface, and distances around it are
+        those from what is.
         """
         n, frame = self.sampling.given, field.box.frame
         outer, distance = _outside(moved, cell=max(field.box.size) / self.resolution)
-        faces, shares = _spread(mesh, outer, n, generator)
-        x = np.einsum("nk,nkd->nd", shares, mesh.vertices[faces])
-        offset = np.einsum("nk,nkd->nd", shares, displacement[faces])
-        normal = torch.from_numpy(np.einsum("nk,nkd->nd", shares, moved.vertex_normals[faces]))
-        points = _projected(field, torch.from_numpy(x)) + torch.from_numpy(offset)
+        face, shares = _spread(mesh, n, generator)
+        x, offset, normal = (
+            torch.from_numpy(np.einsum("nk,nkd->nd", shares, of[mesh.faces[face]]))
+            for of in (mesh.vertices, displacement, moved.vertex_normals)
+        )
+        points, at_surface = _projected(field, x) + offset, torch.from_numpy(outer[face])
         within = field.box.contains(points)
-        points, normal = points[within], torch.nn.functional.normalize(normal[within], dim=1)
-        if len(points) < 4:
+        points, normal, at_surface = points[within], normal[within], at_surface[within]
+        if at_surface.sum() < 4:
             raise Vanished("evolve: the flow takes the whole surface out of the box of the field.")
-        gap = distance(points)
         spread = torch.full((len(points), 1), 0.02 * frame.scale, dtype=torch.float64)
         spread[2 * len(points) // 3 :] = 0.1 * frame.scale
         near = points + spread * torch.randn(points.shape, generator=generator, dtype=torch.float64)
+        values = distance(near) - torch.where(at_surface, distance(points), 0.0)
         inside = field.box.contains(near)
-        near, base = near[inside], gap[inside]
         far = field.box.uniform(max(4, n // 4), generator=generator)
         like = next(field.parameters())
         return Given(
-            frame.to_unit(points).to(like),
-            normal.to(like),
-            frame.to_unit(near).to(like),
-            ((distance(near) - base) / frame.scale).to(like),
+            frame.to_unit(points[at_surface]).to(like),
+            torch.nn.functional.normalize(normal[at_surface], dim=1).to(like),
+            frame.to_unit(near[inside]).to(like),
+            (values[inside] / frame.scale).to(like),
             frame.to_unit(far).to(like),
             (distance(far) / frame.scale).to(like),
             distance,
@@ -289,15 +304,15 @@ class _Wanted:
 
 
 def _outside(mesh: Mesh, *, cell: float) -> tuple[np.ndarray, Callable[[Tensor], Tensor]]:
-    """The faces of a mesh with its inside on one side and the outside on the other, and the signed distance from them.
+    """Which faces of a mesh have its inside on one side and the outside on the other, and the distance from them.
 
     Inside is where the winding number is above 1/2. What is left out are parts of bodies that have run into each other,
     and what has been turned inside out.
     """
     whole = TriangleDistance(mesh.vertices, mesh.faces)
     middles, step = mesh.vertices[mesh.faces].mean(1), 0.01 * cell * np.asarray(mesh.face_normals)
-    outer = ((whole.winding(middles - step) > 0.5) & (whole.winding(middles + step) < 0.5)).nonzero()[0]
-    if not len(outer):
+    outer = (whole.winding(middles - step) > 0.5) & (whole.winding(middles + step) < 0.5)
+    if not outer.any():
         raise Vanished("evolve: the flow leaves nothing inside of the surface.")
     nearest = TriangleDistance(mesh.vertices, mesh.faces[outer])
 
@@ -325,10 +340,10 @@ def _projected(field: Placed, x: Tensor, *, steps: int = 2) -> Tensor:
     return x
 
 
-def _spread(mesh: Mesh, among: np.ndarray, n: int, generator: torch.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """The corners of n of some faces, drawn by area, and the shares of the corners in a uniform point of each."""
-    total = torch.from_numpy(np.cumsum(mesh.face_areas[among]))
+def _spread(mesh: Mesh, n: int, generator: torch.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """n faces drawn by area, and the shares of its corners in a uniform point of each."""
+    total = torch.from_numpy(np.cumsum(mesh.face_areas))
     u = torch.rand(n, generator=generator, dtype=torch.float64) * total[-1]
-    chosen = torch.searchsorted(total, u, right=True).clamp_max(len(among) - 1)
-    u = -torch.log1p(-torch.rand(n, mesh.faces.shape[1], generator=generator, dtype=torch.float64))
-    return mesh.faces[among[chosen.numpy()]], (u / u.sum(1, keepdim=True)).numpy()
+    face = torch.searchsorted(total, u, right=True).clamp_max(len(total) - 1)
+    shares = -torch.log1p(-torch.rand(n, mesh.faces.shape[1], generator=generator, dtype=torch.float64))
+    return face.numpy(), (shares / shares.sum(1, keepdim=True)).numpy()

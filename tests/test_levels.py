@@ -22,7 +22,7 @@ LEVELS = (
     ("boxes", "curvature"),
     ("fields", "optimising"),
     ("keyframed", "networks", "shapes", "minimising", "retimed"),
-    ("equations", "conditions", "elasticity", "extraction", "measures", "progress", "steepness"),
+    ("equations", "conditions", "elasticity", "extraction", "handles", "measures", "progress", "steepness"),
     ("averaging", "rendering", "transported"),
     ("motion",),
     ("bending", "flows"),
@@ -33,7 +33,12 @@ LEVELS = (
     ("__main__",),
 )
 STEPS = {
-    "cli": (("names",), ("lifting", "retiming", "running", "showing", "taking", "viewing"), ("commands",)),
+    "cli": (
+        ("names",),
+        ("lifting", "retiming", "running", "showing", "taking", "viewing"),
+        ("following",),
+        ("commands",),
+    ),
     "equations": (
         ("equation",),
         (
@@ -58,7 +63,11 @@ STEPS = {
         ("painting", "ply", "scene", "sequences", "tracking", "volumes"),
         ("gltf", "paraview", "usd", "vdb"),
     ),
-    "flows": (("flow", "laplacian", "normals"), ("curvature", "descent", "prescribed", "volume")),
+    "flows": (
+        ("densifying", "flow", "laplacian", "normals"),
+        ("curvature", "descent", "editing", "prescribed", "volume"),
+    ),
+    "handles": (("regions",), ("handle",), ("reading",)),
     "networks": (("lipschitz", "siren"), ("invertible", "lifting", "periodic")),
     "rendering": (
         ("camera", "colours", "quantities"),
@@ -75,7 +84,7 @@ STEPS = {
         ("distance",),
         ("analytic", "cloud", "combined", "implicit", "mesh", "tabulated"),
     ),
-    "suite": (("solids", "suite"), ("films",), ("cases",)),
+    "suite": (("solids", "suite"), ("energies", "films"), ("cases",)),
     "viewer": (("viewed",), ("packing",), ("frames",), ("page",), ("server",)),
 }
 LONGEST = 500

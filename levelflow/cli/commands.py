@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from levelflow._version import __version__
+from levelflow.cli.following import edit
+from levelflow.cli.following import evolve as follow
 from levelflow.cli.lifting import lift, slice_field
 from levelflow.cli.names import (
     box_of,
@@ -388,6 +390,8 @@ def info(
     typer.echo(f"box from {_point(surface.box.lower)} to {_point(surface.box.upper)}")
 
 
+app.command()(edit)
+app.command("evolve")(follow)
 app.command()(export)
 app.command()(film)
 app.command()(lift)

@@ -40,13 +40,36 @@ def read_contents(path: str | Path, *, call: str, formats: tuple[str, ...]) -> C
         FileNotFoundError: If there is no such file.
         ValueError: If it is a folder, has another extension, or does not hold what its extension says.
     """
+    path, data = _checked(path, call, formats)
+    extension = path.suffix.lower()
+    try:
+        return _gltf(path) if extension in (".glb", ".gltf") else _READERS[extension](data)
+    except _Malformed as error:
+        raise ValueError(f"{call}: {path.name!r} is not a valid {extension[1:].upper()} file: {error}") from None
+
+
+def read_ply(path: str | Path, *, call: str) -> dict[str, dict[str, np.ndarray]]:
+    """Everything in a PLY file: its elements by name, each with its properties by name, such as `["vertex"]["red"]`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is a folder, has another extension, or is not a valid PLY file.
+    """
+    path, data = _checked(path, call, (".ply",))
+    try:
+        return _ply_elements(data)
+    except _Malformed as error:
+        raise ValueError(f"{call}: {path.name!r} is not a valid PLY file: {error}") from None
+
+
+def _checked(path: str | Path, call: str, formats: tuple[str, ...]) -> tuple[Path, bytes]:
+    """The contents of a file that is there, has one of the extensions and is not empty."""
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{call}: there is no file {str(path)!r} (looked in {Path.cwd()}).")
     if path.is_dir():
         raise ValueError(f"{call}: {str(path)!r} is a folder; give the path of a file in it.")
-    extension = path.suffix.lower()
-    if extension not in formats:
+    if path.suffix.lower() not in formats:
         raise ValueError(
             f"{call}: {path.name!r} has the extension {path.suffix!r}; known are {', '.join(formats)}. "
             "Convert the file, or rename it if the extension is wrong."
@@ -54,10 +77,7 @@ def read_contents(path: str | Path, *, call: str, formats: tuple[str, ...]) -> C
     data = path.read_bytes()
     if not data:
         raise ValueError(f"{call}: {path.name!r} is empty (0 bytes).")
-    try:
-        return _gltf(path) if extension in (".glb", ".gltf") else _READERS[extension](data)
-    except _Malformed as error:
-        raise ValueError(f"{call}: {path.name!r} is not a valid {extension[1:].upper()} file: {error}") from None
+    return path, data
 
 
 class _Malformed(Exception):
@@ -179,8 +199,8 @@ class _Property(NamedTuple):
     length: str | None  # the type of the number in front of a list; None for a single value
 
 
-def _ply(data: bytes) -> Contents:
-    """Stanford PLY in text or binary; polygons of any size, segments as `edge`, normals as `nx ny nz`."""
+def _ply_elements(data: bytes) -> dict[str, dict[str, np.ndarray]]:
+    """The elements of a PLY file by name; the lengths of a list are beside it, as `... sizes`."""
     head, mark, body = data.partition(b"end_header")
     if not data.startswith(b"ply") or not mark:
         raise _Malformed("it has no header from 'ply' to 'end_header'.")
@@ -197,6 +217,12 @@ def _ply(data: bytes) -> Contents:
                 columns[name], at = _ply_binary(body, at, count, properties, order)
         except (ValueError, IndexError):
             raise _Malformed(f"it ends, or goes wrong, within the {count} records of {name!r}.") from None
+    return columns
+
+
+def _ply(data: bytes) -> Contents:
+    """Stanford PLY in text or binary; polygons of any size, segments as `edge`, normals as `nx ny nz`."""
+    columns = _ply_elements(data)
     vertex = columns.get("vertex", {})
     axes = [axis for axis in "xyz" if axis in vertex]
     if len(axes) < 2:

@@ -19,6 +19,7 @@ from levelflow.fields import Field
 from levelflow.shapes import Dumbbell, Solid, Sphere, Torus
 from levelflow.shapes.implicit import Implicit
 from levelflow.solving import solve
+from levelflow.suite.energies import followed, volume, willmore
 from levelflow.suite.films import catenoid, periodic, rings, scherk
 from levelflow.suite.solids import Tube
 from levelflow.suite.suite import (
@@ -245,6 +246,9 @@ CASES: dict[str, Callable[[Suite], Iterator[Row]]] = {
     "rings": rings,
     "scherk": scherk,
     "periodic": periodic,
+    "willmore": willmore,
+    "volume": volume,
+    "followed": followed,
     "moved": moved,
     "standing": standing,
     "enright": enright,

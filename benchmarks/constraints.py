@@ -1,0 +1,121 @@
+"""The constraints of the papers in our training: the distance everywhere, and the raw residual everywhere.
+
+`levelflow.fit` and `levelflow.solve` ask for distances in a band around the surface, for the side beyond it, and for
+the equation near the moving surface: that is what a surface needs. Tables 1 and 2 of the paper judge the distance and
+the residual in the whole box. These are fields that are trained for that, by our jets and optimiser: a static field
+with distances everywhere, lifted to space and time, and then the sum of squares of distances, normals and residuals.
+
+Reference:
+    Novello et al., Neural Implicit Surface Evolution, ICCV 2023, Sec. 4 and eq. 6.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import torch
+from torch import Tensor
+
+from levelflow import SIREN, Box, Budget, Placed, Sampling
+from levelflow.conditions import Given, OffSurface, OnSurface, pick
+from levelflow.curvature import gradient_norm
+from levelflow.equations import Equation
+from levelflow.minimising import Batch, Term, minimise
+from levelflow.motion import Motion
+from levelflow.networks.lifting import lift
+from levelflow.shapes import Solid
+
+RATE = 1e-3
+"""The learning rate from a lifted field: a third of ours, with which the first steps undo much of the fit."""
+
+
+class Distances(OffSurface):
+    r"""The distance itself, $(f - d)^2 + w\,(|\nabla f| - 1)^2$, half of it near the surface and half anywhere."""
+
+    def __init__(self, field: SIREN, given: Given, times: tuple[float, ...], *, n: int, eikonal: float = 1e-3) -> None:
+        super().__init__(field, given, times, n=n, band=math.inf)
+        self.eikonal = eikonal
+
+    def sample(self, generator: torch.Generator) -> Batch:
+        near = pick(self.n // 2, self.given.near, self.given.near_values, generator=generator)
+        far = pick(self.n - self.n // 2, self.given.far, self.given.far_values, generator=generator)
+        x, values = (torch.cat(parts) for parts in zip(near, far, strict=True))
+        return x, values, x.new_tensor(self.times).expand(len(x), -1)
+
+    def loss(self, *batch: Tensor) -> Tensor:
+        x, values, t = batch
+        jet = self.field.jet(x, t, order=1)
+        return (jet.value - values) ** 2 + self.eikonal * (gradient_norm(jet) - 1) ** 2
+
+
+class Everywhere(Motion):
+    r"""The square of the raw residual F, uniformly in the box and the interval, in the units of the shape.
+
+    Beyond the knee k it grows like a logarithm, $k^2 \log(1 + F^2 / k^2)$: where the medial axis bends, no network can
+    follow, and there the square alone would outweigh all distances.
+    """
+
+    near, knee = 0.0, 0.03
+
+    def sample(self, generator: torch.Generator) -> Batch:
+        return (self._anywhere(self.n, generator),)
+
+    def loss(self, *batch: Tensor) -> Tensor:
+        (z,) = batch
+        placed, d = self.placed, self.placed.space
+        jet = placed.in_units(placed.field.jet(z[:, :d], z[:, d:], order=self.equation.order))
+        x, t = placed.box.frame.from_unit(z[:, :d].double()), placed.times_in_units(z[:, d:].double())
+        residual = self.equation.residual(x, t, jet).to(z.dtype)
+        return self.knee**2 * torch.log1p((residual / self.knee) ** 2)
+
+
+def fit(network: SIREN, shape: Solid, box: Box, *, budget: Budget, sampling: Sampling, seed: int = 0) -> Placed:
+    """A static field with the distance of a shape in the whole box."""
+    field = Placed(copy.deepcopy(network), box.during())
+    generator = torch.Generator().manual_seed(seed)
+    given = Given.of(shape, box, n=sampling.given, generator=generator, like=next(field.parameters()))
+    n = sampling.n // 2
+    terms: list[Term] = [
+        OnSurface(field.field, given, (), n=n, normal=1e-3),
+        Distances(field.field, given, (), n=n),
+    ]
+    minimise(field.parameters(), terms, budget=budget, generator=generator)
+    return field
+
+
+def solve(
+    equation: Equation,
+    start: Placed,
+    shape: Solid,
+    *,
+    time: float = 0.0,
+    interval: tuple[float, float],
+    budget: Budget,
+    sampling: Sampling,
+    seed: int = 0,
+) -> Placed:
+    """A field of space and time from a static one: the shape's distance at one time, the residual at all times.
+
+    Args:
+        equation: The motion.
+        start: A field from `fit`, the start and the box.
+        shape: The shape given at `time`.
+        time: When.
+        interval: The times in which the equation is asked for.
+        budget: Steps, or seconds.
+        sampling: The samples of a step and their shares.
+        seed: Of every random choice.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    field = Placed(lift(start.field, generator=generator), start.box.during(interval))
+    given = Given.of(shape, start.box, n=sampling.given, generator=generator, like=next(field.parameters()))
+    now = tuple(field.unit_times(torch.tensor([[time]], dtype=torch.float64))[0].tolist())
+    n, on, off = sampling.counts()
+    terms: list[Term] = [
+        OnSurface(field.field, given, now, n=on, normal=1e-3),
+        Distances(field.field, given, now, n=off),
+        Everywhere(field, equation, n=n),
+    ]
+    minimise(field.parameters(), terms, budget=budget, generator=generator, rate=RATE)
+    return field

@@ -16,6 +16,7 @@ from levelflow.cli.lifting import lift, slice_field
 from levelflow.cli.names import (
     box_of,
     builtin,
+    edge_radius,
     half_box,
     key_named,
     numbers_in,
@@ -168,6 +169,13 @@ def smooth(
     rate: Annotated[
         float | None, typer.Option(help="Rate of mean curvature motion, length^2 per time [default: by the size].")
     ] = None,
+    keep_edges: Annotated[
+        str | None,
+        typer.Option(
+            metavar="RADIUS",
+            help="Let bends sharper than this radius, a length, hardly move; auto: by the size.",
+        ),
+    ] = None,
     times: Times = "0:1:5",
     relative: Relative = False,
     resolution: Resolution = 128,
@@ -181,14 +189,16 @@ def smooth(
     depth: Depth = 3,
 ) -> None:
     """Smooth a shape by motion along its mean curvature; negative times sharpen it."""
-    from levelflow.equations import MeanCurvature
+    from levelflow.equations import FeaturePreserving, LevelSetEquation, MeanCurvature
 
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
     key = key_named(shape)
     unit = half_box(box_of(key))
+    sharpest = None if keep_edges is None else edge_radius(keep_edges, unit=unit, relative=relative)
     if rate is None:
         rate, relative = 1e-3, True
-    equation = MeanCurvature(rate * unit**2 if relative else rate)
+    rate = rate * unit**2 if relative else rate
+    equation: LevelSetEquation = MeanCurvature(rate) if sharpest is None else FeaturePreserving(rate, 1 / sharpest)
     folder = output or folder_for([shape], "smooth")
     evolve(run, "smooth", [shape], {0.0: key}, equation, times_in(times), folder, resolution=resolution)
 

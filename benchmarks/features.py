@@ -1,6 +1,6 @@
 """What smoothing does to edges: curvature that spares sharp bends against plain mean curvature, at equal noise.
 
-    python benchmarks/features.py [-o features.png] [--steps 1200] [--noise 0.012] [--threshold 12]
+    python benchmarks/features.py [-o features.png] [--steps 1200] [--noise 0.006] [--threshold 8]
 
 A machine part, a profile with corners and arcs extruded along z, is meshed with edges of 0.06 and its vertices are
 moved at random. Two fields are solved from the noisy mesh. Each is judged at the start and when the noise is as small
@@ -125,8 +125,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", default="features.png")
     parser.add_argument("--steps", type=int, default=1200)
-    parser.add_argument("--noise", type=float, default=0.012)
-    parser.add_argument("--threshold", type=float, default=12.0)
+    parser.add_argument("--noise", type=float, default=0.006)
+    parser.add_argument("--threshold", type=float, default=8.0)
     parser.add_argument("--until", type=float, default=0.002)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()

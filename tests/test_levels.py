@@ -82,7 +82,7 @@ STEPS = {
         ("shape",),
         ("reading", "simplices", "writing"),
         ("distance",),
-        ("analytic", "cloud", "combined", "implicit", "mesh", "tabulated"),
+        ("analytic", "cloud", "combined", "implicit", "level", "mesh", "tabulated"),
     ),
     "suite": (("solids", "suite"), ("energies", "films"), ("cases",)),
     "viewer": (("viewed",), ("packing",), ("frames",), ("page",), ("server",)),

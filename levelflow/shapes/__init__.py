@@ -3,6 +3,7 @@
 from levelflow.shapes.analytic import Capsule, Circle, Cuboid, Cylinder, Dumbbell, Polygon, Rectangle, Sphere, Torus
 from levelflow.shapes.cloud import PointCloud
 from levelflow.shapes.combined import Rotated, SmoothUnion, Translated
+from levelflow.shapes.level import Level
 from levelflow.shapes.mesh import Mesh, MeshWarning, SignUncertainty
 from levelflow.shapes.shape import Samples, Shape, Solid
 
@@ -12,6 +13,7 @@ __all__ = [
     "Cuboid",
     "Cylinder",
     "Dumbbell",
+    "Level",
     "Mesh",
     "MeshWarning",
     "PointCloud",

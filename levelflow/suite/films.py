@@ -13,8 +13,9 @@ from levelflow import equations
 from levelflow.boxes import Box
 from levelflow.networks.periodic import Periodic
 from levelflow.networks.siren import SIREN
+from levelflow.shapes import Level
 from levelflow.solving import solve
-from levelflow.suite.solids import Level, Tube, Turned
+from levelflow.suite.solids import Tube, Turned
 from levelflow.suite.suite import POINTS, Row, Suite, along, at_origin, change, radii, seeded, unit
 
 P_AREA = 2.345103

@@ -1,4 +1,4 @@
-"""Solids of the suite: of revolution, and under the level set of a formula."""
+"""Solids of revolution for the suite."""
 
 from __future__ import annotations
 
@@ -61,48 +61,3 @@ class Tube(Turned):
 
     def __init__(self, radius: float, depth: float, reach: float) -> None:
         super().__init__(lambda z: radius - depth * torch.cos(math.pi * z), reach)
-
-
-class Level(Solid):
-    """The solid where a formula is negative, in a box: its surface ends at the sides.
-
-    The distance is that to first order, f / |grad f|: it vanishes where it is to, with a gradient of length 1 there.
-
-    Args:
-        formula: f for points (n, d), differentiable.
-        box: The box.
-    """
-
-    def __init__(self, formula: Callable[[Tensor], Tensor], box: Box) -> None:
-        self.formula, self._box = formula, box
-
-    @property
-    def box(self) -> Box:
-        return self._box
-
-    def distance(self, x: Tensor) -> Tensor:
-        value, gradient = self._value(x)
-        return value / torch.linalg.vector_norm(gradient, dim=1).clamp_min(1e-12)
-
-    def sample(self, n: int, *, generator: torch.Generator) -> Samples:
-        """Points of a thin band around the surface, moved to it: nearly uniform by area."""
-        found: list[Samples] = []
-        while sum(len(part.points) for part in found) < n:
-            x = self._box.uniform(8 * n, generator=generator)
-            x = x[self.distance(x).abs() < 0.05 * max(self._box.size)]
-            for _ in range(5):
-                value, gradient = self._value(x)
-                x = x - (value / (gradient * gradient).sum(1))[:, None] * gradient
-            value, gradient = self._value(x)
-            arrived = self._box.contains(x) & (value.abs() < 1e-9 * max(self._box.size))
-            normals = gradient / torch.linalg.vector_norm(gradient, dim=1, keepdim=True)
-            found.append(Samples(x[arrived], normals[arrived]))
-        return Samples(*(torch.cat(parts)[:n] for parts in zip(*found, strict=True)))
-
-    def _value(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """The formula and its gradient."""
-        with torch.enable_grad():
-            x = x.detach().requires_grad_()
-            value = self.formula(x)
-            (gradient,) = torch.autograd.grad(value.sum(), x)
-        return value.detach(), gradient

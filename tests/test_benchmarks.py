@@ -31,7 +31,12 @@ def benchmark(name):
     return module
 
 
-grid, keyframes, recipe = benchmark("grid"), benchmark("keyframes"), benchmark("recipe")
+grid, keyframes, recipe, features = (
+    benchmark("grid"),
+    benchmark("keyframes"),
+    benchmark("recipe"),
+    benchmark("features"),
+)
 EXACT = {"dtype": torch.float64}
 
 
@@ -255,3 +260,19 @@ def test_what_leaves_the_box_or_vanishes_is_judged_as_well():
     found = keyframes.judge(shrinking, {0.0: Circle(0.48)}, resolution=64)
     assert found.parts == (0, 1) and found.length == pytest.approx(0.45, abs=0.06)
     assert "0-1" in str(found) and len(str(found)) == len(keyframes.HEAD)
+
+
+def test_the_part_whose_edges_are_to_stay_is_closed_and_at_its_distance(generator):
+    clean = features.part()
+    assert clean.is_watertight and clean.components == 1
+    x = 2 * torch.rand(300, 3, generator=generator, dtype=torch.float64) - 1
+    assert torch.allclose(clean.distance(x), features.distance(x), atol=1e-12)
+    assert max(features.errors(clean)) < 1e-12
+    noise, edges, corners = features.errors(features.noisy(clean, 0.01, 0))
+    assert 0.003 < noise < 0.01 and 0.003 < edges < 0.01 and corners > 0.003
+
+
+def test_the_time_to_a_noise_is_linear_between_those_that_are_known():
+    times, noises = [0.0, 1.0, 3.0], [0.5, 0.3, 0.1]
+    assert features.when(times, noises, 0.5) == 0.0
+    assert features.when(times, noises, 0.2) == pytest.approx(2.0)

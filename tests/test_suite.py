@@ -2,11 +2,13 @@ import math
 
 import pytest
 import torch
+from scipy.special import ellipk
 
 from levelflow import Budget, Cuboid, Sampling
 from levelflow.shapes import Cylinder
 from levelflow.suite import CASES, Row, Suite, Tube, rows
 from levelflow.suite.cases import _enright
+from levelflow.suite.films import P_AREA
 
 
 def test_a_tube_without_waves_has_the_distance_of_a_cylinder(generator):
@@ -38,6 +40,17 @@ def test_a_row_says_when_a_limit_is_missed():
     assert str(Row("sphere", 0.5, 0.1, 3.0)).endswith("missed")
     assert "missed" not in str(Row("sphere", 0.05, 0.1, 3.0))
     assert "missed" in str(Row("sphere", math.nan, 0.1, 3.0))
+
+
+def test_the_area_of_the_p_surface_is_that_of_its_weierstrass_representation():
+    """2 kappa^2 times the integral of (1 + |w|^2)^2 / |1 - 14 w^4 + w^8| over the plane, for a cell of side 2."""
+    assert abs(P_AREA - 3 * ellipk(0.25) / ellipk(0.75)) < 1e-6
+    # The plane inside the unit circle is half of it all; in logarithmic rings, eight of which hold a singularity.
+    r, u = (torch.arange(4000, dtype=torch.float64) + 0.5 for _ in range(2))
+    w = torch.polar(*torch.meshgrid(r / 4000, math.pi / 2 * u / 4000, indexing="ij"))
+    density = (1 + w.abs() ** 2) ** 2 / (1 - 14 * w**4 + w**8).abs()
+    half = 4 * float((density * w.abs()).sum()) / 4000 * math.pi / 2 / 4000
+    assert abs(2 * (2 / ellipk(0.75)) ** 2 * 2 * half / 4 - P_AREA) < 2e-3
 
 
 @pytest.mark.slow

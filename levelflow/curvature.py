@@ -38,12 +38,13 @@ def principal_curvatures(jet: Jet) -> Float[Tensor, "n d_minus_1"]:
     """The eigenvalues of the shape operator on the tangent space, in ascending order; shape (n, d - 1).
 
     They follow from the trace and the determinant, so that they are exact without an eigenvalue solver. At umbilic
-    points the two agree and have no derivative.
+    points the two agree and have no derivative of their own; that of their mean counts there for both.
     """
     kappa = total_curvature(jet)
     if jet.space == 2:
         return kappa[:, None]
-    discriminant = (kappa * kappa / 4 - gauss_curvature(jet)).clamp_min(0).sqrt()
+    square = kappa * kappa / 4 - gauss_curvature(jet)
+    discriminant = square.clamp_min(torch.finfo(square.dtype).tiny).sqrt()
     return torch.stack([kappa / 2 - discriminant, kappa / 2 + discriminant], dim=1)
 
 

@@ -28,7 +28,8 @@ class Motion:
     tenth its square grows only like a logarithm: on the medial axis curvature is singular, and no network is to
     follow it there. Where f is nearly flat, |grad f| < 0.05, a speed says nothing and is left out. In an equation of
     second order errors count relative to the curvature once its radius is below a tenth: a neck of radius r closes
-    after a time of the order of r^2, in which an error of its speed moves it by that share of r.
+    after a time of the order of r^2, in which an error of its speed moves it by that share of r. Where the speed is
+    bounded they count as they are.
     """
 
     name = "motion"
@@ -89,8 +90,8 @@ class Motion:
         error = error * self._scales(error)
         if self.equation.order > 1:
             bend = 1 + self.bend * placed.box.frame.scale * total_curvature(jet).detach().abs()
-            speeds = [part.is_speed and part.order > 1 for part in self.equation.columns]
-            curved = torch.tensor(speeds, device=error.device)
+            sharp = [part.is_speed and part.order > 1 and not part.bounded for part in self.equation.columns]
+            curved = torch.tensor(sharp, device=error.device)
             error = torch.where(curved, error / bend[:, None], error)
         loss = self.knee**2 * torch.log1p((error / self.knee) ** 2)
         steep = (gradient_norm(jet) > 0.05)[:, None]

@@ -45,6 +45,7 @@ STEPS = {
             "curvature",
             "eikonal",
             "family",
+            "features",
             "heat",
             "morph",
             "regional",

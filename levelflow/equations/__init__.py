@@ -5,6 +5,7 @@ from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.equation import Equation, LevelSetEquation
 from levelflow.equations.family import Family
+from levelflow.equations.features import FeaturePreserving
 from levelflow.equations.heat import Heat
 from levelflow.equations.morph import Morph
 from levelflow.equations.regional import Regional
@@ -21,6 +22,7 @@ __all__ = [
     "Eikonal",
     "Equation",
     "Family",
+    "FeaturePreserving",
     "Heat",
     "LevelSetEquation",
     "MeanCurvature",

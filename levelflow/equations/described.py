@@ -9,6 +9,7 @@ from typing import Any
 from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.equation import Equation
+from levelflow.equations.features import FeaturePreserving
 from levelflow.equations.heat import Heat
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
@@ -19,6 +20,7 @@ _KNOWN: Mapping[str, Any] = {
     for kind in (
         Constant,
         Eikonal,
+        FeaturePreserving,
         Heat,
         MeanCurvature,
         Rotation,

@@ -24,6 +24,7 @@ class Equation(ABC):
         is_rate: Whether its error is a rate of the values of f, in length per unit time. All values take part then, and
             not the zero set alone.
         sharpens: Whether it is ill-posed backwards in time.
+        bounded: Whether its speed stays bounded where the curvature does not.
         bends: Whether it needs derivatives of the curvature, `Jet.curvature`.
         averages: Whether it needs means over the whole surface; it is then to be the whole equation.
         parameter: Which of the times or parameters of the field it moves with, from 0.
@@ -33,6 +34,7 @@ class Equation(ABC):
     is_speed: bool = False
     is_rate: bool = False
     sharpens: bool = False
+    bounded: bool = False
     bends: bool = False
     averages: bool = False
     parameter: int = 0
@@ -135,6 +137,7 @@ class Motions(LevelSetEquation):
         self.motions = motions
         self.order = max(motion.order for motion in motions)
         self.sharpens = any(motion.sharpens for motion in motions)
+        self.bounded = all(motion.bounded or motion.order == 1 for motion in motions)
         self.bends = any(motion.bends for motion in motions)
         self.averages = any(motion.averages for motion in motions)
 

@@ -72,7 +72,8 @@ class Along(Equation):
 
     def __init__(self, motion: LevelSetEquation, parameter: int) -> None:
         self.motion, self.parameter = motion, parameter
-        self.order, self.sharpens, self.bends = motion.order, motion.sharpens, motion.bends
+        self.order, self.sharpens = motion.order, motion.sharpens
+        self.bounded, self.bends = motion.bounded, motion.bends
 
     def __repr__(self) -> str:
         return repr(self.motion)

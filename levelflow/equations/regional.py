@@ -43,7 +43,7 @@ class Regional(LevelSetEquation):
             raise TypeError(f"Regional({motion!r}, {mask!r}): the mask is to be a function of points, or a field.")
         self.motion, self.mask = motion, mask
         self.order, self.sharpens = motion.order, motion.sharpens
-        self.bends, self.averages = motion.bends, motion.averages
+        self.bounded, self.bends, self.averages = motion.bounded, motion.bends, motion.averages
 
     def __repr__(self) -> str:
         return f"Regional({self.motion!r}, {self.mask!r})"

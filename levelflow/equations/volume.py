@@ -50,7 +50,7 @@ class VolumePreserving(LevelSetEquation):
     def __post_init__(self) -> None:
         if not isinstance(self.motion, LevelSetEquation):
             raise TypeError(f"VolumePreserving({self.motion!r}): this is no motion along the normal and has no mean.")
-        for name in ("order", "sharpens", "bends"):
+        for name in ("order", "sharpens", "bounded", "bends"):
             object.__setattr__(self, name, getattr(self.motion, name))
 
     def __repr__(self) -> str:

@@ -4,6 +4,7 @@ from levelflow import Sphere
 from levelflow.equations import (
     Constant,
     Eikonal,
+    FeaturePreserving,
     Heat,
     MeanCurvature,
     Morph,
@@ -23,6 +24,7 @@ TURN, PUSH = Rotation(-1.5, center=(0.0, 1e-3, 2.0)), Constant((1.0, -2.0, 0.5))
     [
         MeanCurvature(1.5e-5),
         Heat(1.5e-5),
+        FeaturePreserving(1.5e-5, 40.0),
         Stationary(),
         Transport(TURN),
         Transport(Source((0.0, 0.0, 0.0), -1.0, 0.2) + Twist(2.0)),

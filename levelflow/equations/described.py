@@ -9,20 +9,23 @@ from typing import Any
 from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.equation import Equation
+from levelflow.equations.family import Family
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
 
 _KNOWN: Mapping[str, Any] = {
     kind.__name__: kind
-    for kind in (Constant, Eikonal, MeanCurvature, Rotation, Source, Stationary, SumOfVelocities, Transport, Twist)
-}
+    for kind in (
+        Constant, Eikonal, Family, MeanCurvature, Rotation, Source, Stationary, SumOfVelocities, Transport, Twist,
+    )
+}  # fmt: skip
 
 
 def equation_of(provenance: Mapping[str, Any]) -> Equation | None:
     """The equation in `provenance["equation"]`, the `repr` of one whose parts are all numbers.
 
-    None where there is none, where it has several parameters, or where it has parts that no text can hold: the targets
-    of a morph, a function of one's own.
+    None where there is none, or where it has parts that no text can hold: the targets of a morph, a function of one's
+    own.
     """
     try:
         found = _value(ast.parse(str(provenance.get("equation", "")), mode="eval").body)

@@ -1,7 +1,18 @@
 import pytest
 
 from levelflow import Sphere
-from levelflow.equations import Constant, Eikonal, MeanCurvature, Morph, Rotation, Source, Stationary, Transport, Twist
+from levelflow.equations import (
+    Constant,
+    Eikonal,
+    Family,
+    MeanCurvature,
+    Morph,
+    Rotation,
+    Source,
+    Stationary,
+    Transport,
+    Twist,
+)
 from levelflow.equations.described import equation_of
 
 TURN, PUSH = Rotation(-1.5, center=(0.0, 1e-3, 2.0)), Constant((1.0, -2.0, 0.5))
@@ -15,6 +26,7 @@ TURN, PUSH = Rotation(-1.5, center=(0.0, 1e-3, 2.0)), Constant((1.0, -2.0, 0.5))
         Transport(TURN),
         Transport(Source((0.0, 0.0, 0.0), -1.0, 0.2) + Twist(2.0)),
         MeanCurvature(0.1) + Transport(PUSH) + Eikonal(),
+        Family(MeanCurvature(0.1) + Transport(PUSH), Stationary()),
     ],
 )
 def test_an_equation_of_numbers_is_told_by_its_text(equation):
@@ -30,6 +42,7 @@ def test_an_equation_of_numbers_is_told_by_its_text(equation):
         "MeanCurvature(speed=1)",
         "MeanCurvature(rate=0.01) + Transport(velocity=V)",
         "Transport(open('x', 'w'))",
+        "Family(MeanCurvature(rate=0.01), Eikonal())",
         "1 + 2",
         "Eikonal() + 1",
         pytest.param("-" * 100_000 + "1", id="too many signs"),

@@ -86,6 +86,15 @@ class Field(Map):
         self._check_times(t)
         return Slice(self, t)
 
+    def carry(
+        self, x: Float[Tensor, "n d"], start: Float[Tensor, "n k"], end: Float[Tensor, "n k"]
+    ) -> Float[Tensor, "n d"] | None:
+        """Where points of a level set at the times `start` are at the times `end`, as far as the field knows.
+
+        None where it knows no more of the motion than its level sets, which say nothing of what moves along them.
+        """
+        return None
+
     def _check_times(self, t: Sequence[float | None]) -> None:
         if len(t) != self.times:
             raise ValueError(

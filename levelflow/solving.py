@@ -11,8 +11,9 @@ from dataclasses import asdict
 import torch
 from torch import Tensor
 
-from levelflow.boxes import Box, interval
+from levelflow.boxes import Box, Until, intervals
 from levelflow.conditions import BAND, NARROW, Given, Key, OffSurface, OnSurface, Sampling, surface_of
+from levelflow.equations.commuting import warn_of_order
 from levelflow.equations.equation import Equation
 from levelflow.equations.family import Family
 from levelflow.fields import Placed
@@ -25,9 +26,6 @@ from levelflow.transported import reach, reach_of_family
 
 Instant = float | tuple[float | None, ...]
 """A time, or a number for each of several parameters; None stands for all values of one."""
-
-Until = float | Sequence[float] | Sequence[float | Sequence[float] | None] | None
-"""The other end of an interval, or both ends; for several parameters one of these, or None, for each."""
 
 
 def solve(
@@ -90,7 +88,8 @@ def solve(
         raise ValueError("solve: the network has 0 times; give one of space and time, SIREN(time=1).")
     instants = [_instant(key, network.times) for key in at]
     _check_driven(equation, instants, network.times)
-    intervals = _intervals(instants, until, network.times)
+    known = [[t[i] for t in instants if not math.isnan(t[i])] for i in range(network.times)]
+    ends = intervals(known, until, call="solve")
     if not 0 <= warm_up < 1:
         raise ValueError(f"solve(warm_up={warm_up:g}): give the part of the budget, at least 0 and below 1.")
     surfaces = [surface_of(key) for key in at.values()]
@@ -101,8 +100,8 @@ def solve(
         )
     sharpens = False
     for column in equation.columns:
-        first = intervals[column.parameter][0]
-        given_at = min((i[column.parameter] for i in instants if not math.isnan(i[column.parameter])), default=first)
+        first = ends[column.parameter][0]
+        given_at = min(known[column.parameter], default=first)
         if column.sharpens and first < given_at:
             sharpens = True
             warnings.warn(
@@ -111,8 +110,11 @@ def solve(
                 stacklevel=2,
             )
     if box is None and network.times == 1 and not isinstance(equation, Family):
-        box = reach(equation, {t: s for (t,), s in zip(instants, surfaces, strict=True)}, intervals[0])
-    box = (box or reach_of_family(equation, surfaces, instants, intervals)).during(*intervals)
+        box = reach(equation, {t: s for (t,), s in zip(instants, surfaces, strict=True)}, ends[0])
+    box = (box or reach_of_family(equation, surfaces, instants, ends)).during(*ends)
+    if isinstance(equation, Family):
+        since = [min(values, default=first) for values, (first, _) in zip(known, ends, strict=True)]
+        warn_of_order(equation, box, since, "Training settles between the two orders.", call="solve")
     generator = torch.Generator().manual_seed(seed)
     if start is not None:
         network = _lifted(start, network, box, generator)
@@ -155,7 +157,7 @@ def solve(
             ",".join(":" if math.isnan(t) else f"{t:.15g}" for t in instant): accuracy(
                 field.at(*place), surface, seed=seed
             )
-            for instant, place, surface in zip(instants, _filled(instants, intervals), surfaces, strict=True)
+            for instant, place, surface in zip(instants, _filled(instants, ends), surfaces, strict=True)
         },
     }
     return field
@@ -192,26 +194,9 @@ def _check_driven(equation: Equation, instants: Sequence[tuple[float, ...]], k: 
             )
 
 
-def _intervals(instants: Sequence[tuple[float, ...]], until: Until, k: int) -> list[tuple[float, float]]:
-    """The interval of each time or parameter."""
-    ends = [until] if k == 1 else list(until) if isinstance(until, Sequence) else [until] * k
-    if len(ends) != k:
-        raise ValueError(f"solve(until={until}): the network has {k} parameters; give an end, or both ends, for each.")
-    found = []
-    for i, end in enumerate(ends):
-        known = [instant[i] for instant in instants if not math.isnan(instant[i])]
-        if not known and not (isinstance(end, Sequence) and len(end) == 2 and end[0] != end[1]):
-            raise ValueError(
-                f"solve(until={until}): nothing is given at a value of parameter {i}; say from where to where it goes, "
-                "until=(..., (0, 1))."
-            )
-        found.append(interval(known, end, call="solve" if k == 1 else f"solve, parameter {i}"))  # type: ignore[arg-type]
-    return found
-
-
-def _filled(instants: Sequence[tuple[float, ...]], intervals: Sequence[tuple[float, float]]) -> list[tuple[float, ...]]:
+def _filled(instants: Sequence[tuple[float, ...]], ends: Sequence[tuple[float, float]]) -> list[tuple[float, ...]]:
     """The instants, with the middle of the interval in the place of what is free."""
-    middles = [(first + last) / 2 for first, last in intervals]
+    middles = [(first + last) / 2 for first, last in ends]
     return [tuple(m if math.isnan(t) else t for t, m in zip(instant, middles, strict=True)) for instant in instants]
 
 

@@ -34,9 +34,10 @@ LEVELS = (
 STEPS = {
     "cli": (("names",), ("lifting", "running", "showing", "taking", "viewing"), ("commands",)),
     "equations": (
-        ("equation",),
-        ("curvature", "eikonal", "family", "morph", "regional", "stationary", "transport"),
-        ("described", "simplicial"),
+        ("equation", "masks"),
+        ("curvature", "eikonal", "family", "morph", "stationary", "transport"),
+        ("regional", "simplicial"),
+        ("commuting", "described"),
     ),
     "export": (
         ("frames", "normal_motion", "printing"),

@@ -10,15 +10,15 @@ from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.equation import Equation
 from levelflow.equations.family import Family
+from levelflow.equations.masks import BoxMask, ProductOfMasks, SphereMask
+from levelflow.equations.regional import Regional
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, VelocityField
 
-_KNOWN: Mapping[str, Any] = {
-    kind.__name__: kind
-    for kind in (
-        Constant, Eikonal, Family, MeanCurvature, Rotation, Source, Stationary, SumOfVelocities, Transport, Twist,
-    )
-}  # fmt: skip
+_VELOCITIES = (Constant, Rotation, Source, SumOfVelocities, Twist)
+_MASKS = (BoxMask, ProductOfMasks, SphereMask)
+_EQUATIONS = (Eikonal, Family, MeanCurvature, Regional, Stationary, Transport)
+_KNOWN: Mapping[str, Any] = {kind.__name__: kind for kind in (*_EQUATIONS, *_VELOCITIES, *_MASKS)}
 
 
 def equation_of(provenance: Mapping[str, Any]) -> Equation | None:
@@ -50,7 +50,12 @@ def _value(node: ast.expr) -> Any:
         made = _KNOWN[node.func.id](*map(_value, node.args), **given)
         if isinstance(made, SumOfVelocities) and not all(isinstance(v, VelocityField) for v in made.velocities):
             raise ValueError(f"{ast.unparse(node)} is no sum of velocities")
+        masks = made.masks if isinstance(made, ProductOfMasks) else (made.mask,) if isinstance(made, Regional) else ()
+        if not all(isinstance(mask, _MASKS) for mask in masks):
+            raise ValueError(f"{ast.unparse(node)} has a mask that is none")
         return made
     if isinstance(node, ast.Tuple):
         return tuple(map(_value, node.elts))
+    if ast.unparse(node) in ("inf", "-inf"):
+        return float(ast.unparse(node))
     return ast.literal_eval(node)

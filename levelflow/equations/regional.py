@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from levelflow.equations.equation import LevelSetEquation
+from levelflow.equations.masks import Mask
+from levelflow.equations.transport import Transport
 from levelflow.jets import Jet
-
-Mask = Callable[[Tensor], Tensor]
-"""How much a motion counts at points (n, d): numbers (n,), 0 where nothing moves and 1 for the full speed."""
 
 
 class Regional(LevelSetEquation):
     r"""A motion whose speed is multiplied by a mask of the place, $v(x, t) = m(x)\,v_0(x, t)$.
 
     Where the mask is 0 the surface stands still: what is there is a boundary for the rest. Mean curvature with a fixed
-    region leads to soap films, since minimal surfaces are where it comes to rest.
+    region leads to soap films, since minimal surfaces are where it comes to rest. A motion by a velocity field remains
+    one, by $m(x)\,V(x, t)$, and keeps its characteristics.
 
     Args:
         motion: The motion where the mask is 1.
-        mask: Numbers for points (n, d): a function, or a static field; smooth, for the sake of the network.
+        mask: Numbers for points (n, d): `BoxMask`, `SphereMask`, `PaintedMask`, a function, or a static field; smooth,
+            for the sake of the network.
 
     Raises:
         TypeError: If the motion is none along the normal, or the mask is not a function of points.
@@ -47,12 +46,26 @@ class Regional(LevelSetEquation):
 
     def speed(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], jet: Jet) -> Float[Tensor, " n"]:
         with torch.no_grad():
-            mask = self.mask(x)
-        if mask.shape != jet.value.shape:
-            raise ValueError(
-                f"{self!r}: the mask has the shape {tuple(mask.shape)} at {len(x)} points; one number each is needed."
-            )
+            mask = self._masked(x)
         return mask.to(jet.value) * self.motion.speed(x, t, jet)
 
     def weight(self, t: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
         return self.motion.weight(t)
+
+    def carry(
+        self, x: Float[Tensor, "n d"], start: Float[Tensor, " n"], end: Float[Tensor, " n"], *, steps: int = 32
+    ) -> Float[Tensor, "n d"] | None:
+        """The characteristics of the masked velocity field, by Runge and Kutta's method."""
+        if not isinstance(self.motion, Transport):
+            return None
+        velocity = self.motion.velocity
+        masked = Transport(lambda x, t: self._masked(x).to(x)[:, None] * velocity(x, t))
+        return masked.carry(x, start, end, steps=steps)
+
+    def _masked(self, x: Tensor) -> Tensor:
+        mask = self.mask(x)
+        if mask.shape != x.shape[:1]:
+            raise ValueError(
+                f"{self!r}: the mask has the shape {tuple(mask.shape)} at {len(x)} points; one number each is needed."
+            )
+        return mask

@@ -17,6 +17,7 @@ from levelflow.cli.names import (
     half_box,
     key_named,
     numbers_in,
+    place_in,
     solid_named,
     surface_named,
     times_in,
@@ -281,7 +282,9 @@ def morph(
 def mesh(
     field: Annotated[Path, typer.Argument(metavar="FIELD", help="A field (.safetensors).")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The mesh to write: .ply, .obj, .off or .stl.")],
-    at: Annotated[float | None, typer.Option("--time", help="When; needed for a field that moves.")] = None,
+    time: Annotated[
+        str | None, typer.Option("--time", help="When, for a field that moves: 0.5, or 0.5,0.2 for two parameters.")
+    ] = None,
     resolution: Resolution = 128,
     refine: Annotated[int, typer.Option(help="Steps that move each vertex onto the surface itself.")] = 0,
 ) -> None:
@@ -290,12 +293,8 @@ def mesh(
     from levelflow.saving import load
 
     loaded = load(field)
-    if loaded.times and at is None:
-        (first, last) = loaded.box.times[0]
-        raise ValueError(f"mesh {field}: the field moves from t = {first:g} to {last:g}; say when with --time.")
-    if at is not None and not loaded.times:
-        raise ValueError(f"mesh {field} --time {at:g}: the field does not depend on time; leave --time out.")
-    surface = extract(loaded if at is None else loaded.at(at), resolution=resolution, refine=refine)
+    place = place_in(time, loaded, f"mesh {field}")
+    surface = extract(loaded.at(*place) if place else loaded, resolution=resolution, refine=refine)
     surface.write(output)
     typer.echo(f"{output}: {len(surface.vertices):,} vertices, {len(surface.faces):,} faces")
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from levelflow.boxes import Box
     from levelflow.conditions import Key
     from levelflow.equations import VelocityField
-    from levelflow.fields import Field
+    from levelflow.fields import Field, Walk
     from levelflow.shapes import Shape, Solid
 
 _BUILTINS: dict[str, Callable[[Any], Solid]] = {
@@ -145,12 +145,74 @@ def times_in(text: str | None) -> list[float]:
     return sorted({float(f"{v:.12g}") + 0.0 for v in values})
 
 
+def place_in(text: str | None, field: Field, call: str) -> tuple[float, ...]:
+    """The time or parameters of `--time 0.5,0.2`, a number for each; none for a field that stands still.
+
+    Raises:
+        ValueError: If there are more or fewer.
+    """
+    if not field.times:
+        if text is not None:
+            raise ValueError(f"{call} --time {text}: the field does not depend on time; leave --time out.")
+        return ()
+    if text is None:
+        what = "say when" if field.times == 1 else "give one number for each"
+        raise ValueError(f"{call}: {motion_in_words(field)}; {what} with --time {_example(field)}.")
+    values = numbers_in(text, "--time")
+    if len(values) != field.times:
+        raise ValueError(
+            f"{call} --time {text}: {motion_in_words(field)}, and {len(values)} number(s) are given; one for each is "
+            f"needed, such as --time {_example(field)}."
+        )
+    return values
+
+
+def walk_in(text: str, field: Field, call: str) -> Walk:
+    """The walk through the parameters of a field of `--path 0,0:1,0:1,1`, corner after corner.
+
+    Raises:
+        ValueError: If a corner has not one number for each, lies outside their intervals, or there is only one.
+    """
+    from levelflow.fields import Walk
+
+    if not field.times:
+        raise ValueError(f"{call} --path {text}: the field does not depend on time; leave --path out.")
+    corners = [numbers_in(part, "--path") for part in text.split(":")]
+    if len(corners) < 2 or any(len(corner) != field.times for corner in corners):
+        raise ValueError(
+            f"{call} --path {text}: {motion_in_words(field)}; give two corners or more with one number for each, such "
+            f"as --path {walk_example(field)}."
+        )
+    return Walk(field, corners)
+
+
+def walk_example(field: Field) -> str:
+    """A walk through the parameters of a field, one after the other, as it is written."""
+    ends = field.box.times if field.box is not None else ((0.0, 1.0),) * field.times
+    corners = [[last if i < j else first for i, (first, last) in enumerate(ends)] for j in range(len(ends) + 1)]
+    return ":".join(",".join(f"{value:g}" for value in corner) for corner in corners)
+
+
+def motion_in_words(field: Field) -> str:
+    """`the field moves from t = 0 to 1`, or `the field has 2 parameters, from 0 to 1 and from -1 to 1`."""
+    ends = [f"{first:g} to {last:g}" for first, last in field.box.times] if field.box is not None else []
+    if field.times == 1:
+        return f"the field moves from t = {', '.join(ends)}"
+    return f"the field has {field.times} parameters, from {' and from '.join(ends)}"
+
+
+def _example(field: Field) -> str:
+    """The middle of the interval of each parameter."""
+    ends = field.box.times if field.box is not None else ((0.0, 1.0),) * field.times
+    return ",".join(f"{(first + last) / 2:.3g}" for first, last in ends)
+
+
 def numbers_in(text: str, option: str) -> tuple[float, ...]:
     """`0,1,0`."""
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise ValueError(f"{option} {text}: give numbers with commas between them, 0,1,0.") from None
+        raise ValueError(f"{option} {text}: give numbers with commas between them, such as 0,1,0.") from None
 
 
 def box_of(key: Key) -> Box:

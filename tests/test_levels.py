@@ -32,7 +32,7 @@ LEVELS = (
     ("__main__",),
 )
 STEPS = {
-    "cli": (("names",), ("lifting", "running", "showing", "taking", "viewing"), ("commands",)),
+    "cli": (("names",), ("lifting", "masking", "running", "showing", "taking", "viewing"), ("commands",)),
     "equations": (
         ("equation", "masks"),
         ("curvature", "eikonal", "family", "morph", "stationary", "transport"),

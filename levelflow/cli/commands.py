@@ -11,6 +11,7 @@ import typer
 
 from levelflow._version import __version__
 from levelflow.cli.lifting import lift, slice_field
+from levelflow.cli.masking import Fix, MaskBy, MaskFile, Only, Soft, mask_of, masked
 from levelflow.cli.names import (
     box_of,
     builtin,
@@ -168,6 +169,11 @@ def smooth(
     ] = None,
     times: Times = "0:1:5",
     relative: Relative = False,
+    mask: MaskFile = None,
+    mask_by: MaskBy = None,
+    fix: Fix = None,
+    only: Only = None,
+    soft: Soft = None,
     resolution: Resolution = 128,
     steps: Steps = None,
     seconds: Seconds = None,
@@ -178,17 +184,20 @@ def smooth(
     width: Width = 128,
     depth: Depth = 3,
 ) -> None:
-    """Smooth a shape by motion along its mean curvature; negative times sharpen it."""
+    """Smooth a shape by motion along its mean curvature; negative times sharpen it.
+
+    With a mask, at a rate of its own in every place: what stands still is a boundary for the rest.
+    """
     from levelflow.equations import MeanCurvature
 
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
     key = key_named(shape)
     unit = half_box(box_of(key))
-    if rate is None:
-        rate, relative = 1e-3, True
-    equation = MeanCurvature(rate * unit**2 if relative else rate)
-    folder = output or folder_for([shape], "smooth")
-    evolve(run, "smooth", [shape], {0.0: key}, equation, times_in(times), folder, resolution=resolution)
+    speed = 1e-3 * unit**2 if rate is None else rate * unit**2 if relative else rate
+    where = mask_of(key, mask, mask_by, fix, only, soft, relative=relative)
+    equation = masked(MeanCurvature(speed), where)
+    folder, inputs = output or folder_for([shape], "smooth"), [shape, *([str(mask)] if mask else [])]
+    evolve(run, "smooth", inputs, {0.0: key}, equation, times_in(times), folder, resolution=resolution)
 
 
 @app.command()
@@ -211,6 +220,11 @@ def advect(
     ] = False,
     times: Times = "0:1:5",
     relative: Relative = False,
+    mask: MaskFile = None,
+    mask_by: MaskBy = None,
+    fix: Fix = None,
+    only: Only = None,
+    soft: Soft = None,
     resolution: Resolution = 128,
     steps: Steps = None,
     seconds: Seconds = None,
@@ -221,7 +235,10 @@ def advect(
     width: Width = 128,
     depth: Depth = 3,
 ) -> None:
-    """Carry a shape along a velocity field: the field fitted to it, on characteristics."""
+    """Carry a shape along a velocity field: the field fitted to it, on characteristics.
+
+    With a mask, along the velocity times the mask.
+    """
     from levelflow.equations import SumOfVelocities, Transport
 
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
@@ -239,9 +256,10 @@ def advect(
                   length=length, unit=unit)
         for name in velocity.split("+")
     ]  # fmt: skip
-    equation = Transport(velocities[0] if len(velocities) == 1 else SumOfVelocities(tuple(velocities)))
-    folder = output or folder_for([shape], "advect")
-    evolve(run, "advect", [shape], {0.0: key}, equation, times_in(times), folder, resolution=resolution, distil=distil)
+    motion = Transport(velocities[0] if len(velocities) == 1 else SumOfVelocities(tuple(velocities)))
+    equation = masked(motion, mask_of(key, mask, mask_by, fix, only, soft, relative=relative))
+    folder, inputs = output or folder_for([shape], "advect"), [shape, *([str(mask)] if mask else [])]
+    evolve(run, "advect", inputs, {0.0: key}, equation, times_in(times), folder, resolution=resolution, distil=distil)
 
 
 @app.command()

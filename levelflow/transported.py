@@ -93,7 +93,7 @@ class Transported(Field):
             if not part.has_characteristics(box.space):
                 raise ValueError(f"Transported: {part!r} depends on the surface and has no characteristics; solve it.")
         if isinstance(motion, Family):
-            warn_of_order(motion, box, start, "The first runs before the second here.", call="Transported")
+            warn_of_order(motion, box, start, "They run in the order in which they are given.", call="Transported")
         self.motion, self.shape, self.time = motion, shape, start if k > 1 else start[0]
         self._start = start
         self.steps = steps or max(

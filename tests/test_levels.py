@@ -32,7 +32,12 @@ LEVELS = (
     ("__main__",),
 )
 STEPS = {
-    "cli": (("names",), ("lifting", "masking", "running", "showing", "taking", "viewing"), ("commands",)),
+    "cli": (
+        ("names", "options"),
+        ("lifting", "masking", "running", "showing", "taking", "viewing"),
+        ("families",),
+        ("commands",),
+    ),
     "equations": (
         ("equation", "masks"),
         ("curvature", "eikonal", "family", "morph", "stationary", "transport"),

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from levelflow._version import __version__
+from levelflow.cli.families import family, mix
 from levelflow.cli.lifting import lift, slice_field
 from levelflow.cli.masking import Fix, MaskBy, MaskFile, Only, Soft, mask_of, masked
 from levelflow.cli.names import (
     box_of,
     builtin,
+    center_in,
     half_box,
     key_named,
     numbers_in,
@@ -24,6 +26,21 @@ from levelflow.cli.names import (
     times_in,
     velocity_named,
     warn_of_distance,
+)
+from levelflow.cli.options import (
+    Depth,
+    Device,
+    Folder,
+    Quiet,
+    Relative,
+    Resolution,
+    Resume,
+    Seconds,
+    Seed,
+    ShapeArgument,
+    Steps,
+    Times,
+    Width,
 )
 from levelflow.cli.running import (
     CHECKPOINT,
@@ -51,27 +68,6 @@ app = typer.Typer(
     "this program (.safetensors), or one of: sphere, cuboid, rounded-cuboid, torus, cylinder, capsule, dumbbell. "
     "Add --debug to any command for a traceback.",
 )
-
-ShapeArgument = Annotated[str, typer.Argument(metavar="SHAPE", help="A mesh, a point cloud, a field, or a built-in.")]
-Folder = Annotated[
-    Path | None, typer.Option("--output", "-o", help="The folder for the results [default: SHAPE-VERB].")
-]
-Steps = Annotated[
-    int | None,
-    typer.Option(help="Training steps. By default 1200, or, where there is --seconds, as many as it allows."),
-]
-Seconds = Annotated[float | None, typer.Option(help="Training time; takes the place of the default number of steps.")]
-Seed = Annotated[int, typer.Option(help="Of every random choice.")]
-Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:1, ...")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but warnings and errors.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with the interrupted run in the output folder.")]
-Width = Annotated[int, typer.Option(help="Neurons of a layer.")]
-Depth = Annotated[int, typer.Option(help="Hidden layers.")]
-Resolution = Annotated[int, typer.Option(help="Marching-cubes cells along the longest side.")]
-Times = Annotated[str | None, typer.Option(help="0,0.5,1 or first:last:number.")]
-Relative = Annotated[
-    bool, typer.Option("--relative", help="Rates, lengths and positions in units of half the box of the shape.")
-]
 
 
 @app.command()
@@ -245,11 +241,7 @@ def advect(
     key = key_named(shape)
     box = box_of(key)
     unit = half_box(box)
-    middle = box.center if center is None else numbers_in(center, "--center")
-    if len(middle) != box.space:
-        raise ValueError(f"--center {center}: the shape has {box.space} coordinates; give as many numbers.")
-    if center is not None and relative:
-        middle = tuple(c + unit * v for c, v in zip(box.center, middle, strict=True))
+    middle = center_in(center, box, unit if relative else None)
     length = unit if relative else 1.0
     velocities = [
         velocity_named(name.strip(), by=by, rate=rate, axis=numbers_in(axis, "--axis"), center=middle, reach=reach,
@@ -266,7 +258,11 @@ def advect(
 def morph(
     shapes: Annotated[list[str], typer.Argument(metavar="A B [C ...]", help="Two shapes or more.")],
     output: Folder = None,
+    simplex: Annotated[
+        bool, typer.Option("--simplex", help="Mix all shapes: three over a triangle, four over a tetrahedron, ...")
+    ] = False,
     times: Times = None,
+    grid: Annotated[int, typer.Option(help="Steps along each side of the triangle that is shown, with --simplex.")] = 4,
     resolution: Resolution = 128,
     steps: Steps = None,
     seconds: Seconds = None,
@@ -277,22 +273,31 @@ def morph(
     width: Width = 128,
     depth: Depth = 3,
 ) -> None:
-    """Morph shapes into each other; they stand at equal steps of time from 0 to 1."""
+    """Morph shapes into each other; they stand at equal steps of time from 0 to 1.
+
+    With --simplex there is a surface for every mixture of them. Its parameters are the shares of B, C, ..., as in
+    --time 0.3,0.5 of other commands; the rest is the share of A.
+    """
     from levelflow.equations import Morph
 
     if len(shapes) < 2:
         raise ValueError(f"morph {shapes[0]}: one shape is given; name at least two.")
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
     solids = [solid_named(shape) for shape in shapes]
+    warn_of_distance(shapes, [box_of(solid) for solid in solids])
+    folder = output or folder_for(shapes, "morph")
+    if simplex:
+        if times is not None:
+            raise ValueError(f"morph --simplex --times {times}: a mixture has shares and no time; leave --times out.")
+        mix(run, shapes, solids, folder, grid=grid, resolution=resolution)
+        return
     at: dict[float, Key] = {i / (len(shapes) - 1): solid for i, solid in enumerate(solids)}
-    warn_of_distance(shapes, [box_of(key) for key in at.values()])
     equation = Morph({t: solid for t, solid in zip(at, solids, strict=True) if t > 0})
     asked = times_in(times or f"0:1:{4 * (len(shapes) - 1) + 1}")
     if min(asked) < 0 or max(asked) > 1:
         raise ValueError(
             f"morph --times {times}: the shapes stand between the times 0 and 1; ask for times in between."
         )
-    folder = output or folder_for(shapes, "morph")
     evolve(run, "morph", shapes, at, equation, asked, folder, resolution=resolution)
 
 
@@ -400,6 +405,7 @@ def info(
 
 
 app.command()(export)
+app.command()(family)
 app.command()(film)
 app.command()(lift)
 app.command()(render)

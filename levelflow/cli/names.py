@@ -93,18 +93,19 @@ def velocity_named(
     reach: float | None,
     length: float,
     unit: float,
+    option: str = "--",
 ) -> VelocityField:
     """A velocity field by its name; `length` is the unit of lengths that were given, `unit` that of defaults.
 
-    The number of coordinates is that of `center`.
+    The number of coordinates is that of `center`; messages put `option` before the names of what was given.
     """
     from levelflow.equations import Constant, Rotation, Source, Twist
 
     if name == "translation":
         rest = (0.0,) * (len(center) - 1)
-        moved = (0.5 * unit, *rest) if by is None else tuple(length * v for v in numbers_in(by, "--by"))
+        moved = (0.5 * unit, *rest) if by is None else tuple(length * v for v in numbers_in(by, f"{option}by"))
         if len(moved) != len(center):
-            raise ValueError(f"--by {by}: the shape has {len(center)} coordinates; give as many numbers.")
+            raise ValueError(f"{option}by {by}: the shape has {len(center)} coordinates; give as many numbers.")
         return Constant(moved)
     if name == "rotation":
         return Rotation(math.pi / 2 if rate is None else rate, axis, center)
@@ -114,6 +115,16 @@ def velocity_named(
         strength = (1.0 if rate is None else rate) * (1 if name == "source" else -1)
         return Source(center, strength, 0.18**0.5 * unit if reach is None else reach * length)
     raise ValueError(f"--velocity {name}: known are translation, rotation, twist, source and sink.")
+
+
+def center_in(text: str | None, box: Box, length: float | None, option: str = "--") -> tuple[float, ...]:
+    """A point, by default the middle of a box; with a length, in units of it from there."""
+    if text is None:
+        return box.center
+    point = numbers_in(text, f"{option}center")
+    if len(point) != box.space:
+        raise ValueError(f"{option}center {text}: the shape has {box.space} coordinates; give as many numbers.")
+    return point if length is None else tuple(c + length * v for c, v in zip(box.center, point, strict=True))
 
 
 def device_named(name: str) -> torch.device:
@@ -164,6 +175,7 @@ def place_in(text: str | None, field: Field, call: str) -> tuple[float, ...]:
             f"{call} --time {text}: {motion_in_words(field)}, and {len(values)} number(s) are given; one for each is "
             f"needed, such as --time {_example(field)}."
         )
+    _check_shares(field, values, f"{call} --time {text}")
     return values
 
 
@@ -183,6 +195,8 @@ def walk_in(text: str, field: Field, call: str) -> Walk:
             f"{call} --path {text}: {motion_in_words(field)}; give two corners or more with one number for each, such "
             f"as --path {walk_example(field)}."
         )
+    for corner in corners:
+        _check_shares(field, corner, f"{call} --path {text}")
     return Walk(field, corners)
 
 
@@ -199,6 +213,16 @@ def motion_in_words(field: Field) -> str:
     if field.times == 1:
         return f"the field moves from t = {', '.join(ends)}"
     return f"the field has {field.times} parameters, from {' and from '.join(ends)}"
+
+
+def _check_shares(field: Field, values: Sequence[float], call: str) -> None:
+    """Refuses shares of shapes that are more than all, in a field of mixtures (`levelflow morph --simplex`)."""
+    names = getattr(field, "provenance", {}).get("shares", ())
+    if len(names) == len(values) + 1 and sum(values) > 1 + 1e-9:
+        raise ValueError(
+            f"{call}: these are the shares of {', '.join(names[1:])}, and their sum is {sum(values):g}; give at most 1 "
+            f"together, the rest is the share of {names[0]}."
+        )
 
 
 def _example(field: Field) -> str:

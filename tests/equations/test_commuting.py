@@ -94,7 +94,7 @@ def test_solving_and_carrying_warn_once_and_loading_does_not(tmp_path):
         )
     assert sum("commute" in str(one.message) for one in found) == 1
     static = Placed(SIREN(2, width=8), PLANE)
-    with pytest.warns(UserWarning, match="The first runs before the second here") as found:
+    with pytest.warns(UserWarning, match="They run in the order in which they are given") as found:
         field = Transported(Family(EAST, TURN), static, box=PLANE.during((0.0, 1.0), (0.0, 1.0)))
     assert len(found) == 1
     save(field, tmp_path / "f.safetensors")

@@ -168,6 +168,9 @@ def smooth(
     ] = None,
     times: Times = "0:1:5",
     relative: Relative = False,
+    keep_volume: Annotated[
+        bool, typer.Option("--keep-volume", help="Take the mean speed away, so that the volume stays what it is.")
+    ] = False,
     mask: MaskFile = None,
     mask_by: MaskBy = None,
     fix: Fix = None,
@@ -187,7 +190,7 @@ def smooth(
 
     With a mask, at a rate of its own in every place: what stands still is a boundary for the rest.
     """
-    from levelflow.equations import MeanCurvature
+    from levelflow.equations import MeanCurvature, VolumePreserving
 
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
     key = key_named(shape)
@@ -195,6 +198,7 @@ def smooth(
     speed = 1e-3 * unit**2 if rate is None else rate * unit**2 if relative else rate
     where = mask_of(key, mask, mask_by, fix, only, soft, relative=relative)
     equation = masked(MeanCurvature(speed), where)
+    equation = VolumePreserving(equation) if keep_volume else equation
     folder, inputs = output or folder_for([shape], "smooth"), [shape, *([str(mask)] if mask else [])]
     evolve(run, "smooth", inputs, {0.0: key}, equation, times_in(times), folder, resolution=resolution)
 

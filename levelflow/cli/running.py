@@ -129,8 +129,11 @@ def evolve(
     """
     import torch
 
+    from levelflow.averaging import with_means
     from levelflow.conditions import surface_of
+    from levelflow.equations import VolumePreserving
     from levelflow.export.frames import write_frames
+    from levelflow.fields import Placed
     from levelflow.measures import residual_table
     from levelflow.saving import Checkpoint, save
     from levelflow.shapes.writing import replace_file
@@ -167,6 +170,12 @@ def evolve(
         on_frame=lambda frame: run.say(f"  {frame.file or f'{when(frame.time)}: the surface has vanished'}"),
     )  # fmt: skip
     t0, key = next(iter(at.items()))
+    if isinstance(equation, VolumePreserving):
+        assert isinstance(field, Placed)
+        generator = torch.Generator().manual_seed(run.seed)
+        equation = with_means(
+            equation, field, origin=t0 if isinstance(t0, float) else float(t0[0] or 0.0), generator=generator
+        )
     table = residual_table(field, equation, surface_of(key), time=t0, generator=torch.Generator().manual_seed(run.seed))
     report = {
         "levelflow": __version__,

@@ -90,3 +90,10 @@ def test_a_field_that_moves_is_refused(run, here, ball):
     run("lift", ball, "-o", "moving.safetensors", "--times=0:1")
     code, _, err = run("evolve", "moving.safetensors")
     assert code == 2 and "give a static field" in err
+
+
+def test_a_shape_is_smoothed_at_its_volume(run, here):
+    code, _, err = run("smooth", "rounded-cuboid", "--keep-volume", "--steps", 3, "--times", "0,1", "--resolution", 16,
+                       "--width", 8, "--depth", 1, "-o", "out")  # fmt: skip
+    assert code == 0, err
+    assert describe("out/field.safetensors")["provenance"]["equation"].startswith("VolumePreserving(MeanCurvature(")

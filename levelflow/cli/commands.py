@@ -164,7 +164,7 @@ def smooth(
     shape: ShapeArgument,
     output: Folder = None,
     rate: Annotated[
-        float | None, typer.Option(help="Rate of mean curvature motion, length^2 per time [default: by the size].")
+        float | None, typer.Option(help="Rate of mean curvature motion, length^2 per time; by default by the size.")
     ] = None,
     times: Times = "0:1:5",
     relative: Relative = False,
@@ -216,7 +216,7 @@ def advect(
         typer.Option(help="Radians per time (rotation), per time and length (twist), or strength (source, sink)."),
     ] = None,
     axis: Annotated[str, typer.Option(help="Direction of a rotation or twist, x,y,z.")] = "0,1,0",
-    center: Annotated[str | None, typer.Option(help="A point x,y,z [default: the centre of the box].")] = None,
+    center: Annotated[str | None, typer.Option(help="A point x,y,z; by default the centre of the box.")] = None,
     reach: Annotated[float | None, typer.Option(help="Width of a source or sink, a length.")] = None,
     distil: Annotated[
         bool, typer.Option("--distil", help="Train one network in space and time: less exact, with nothing to carry.")

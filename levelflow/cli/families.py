@@ -60,11 +60,13 @@ def family(
     output: Folder = None,
     until: Annotated[
         str | None,
-        typer.Option(help="Where each parameter ends, 1,0.5, or from where to where it goes, 0:1,-1:1 [default: 1]."),
+        typer.Option(
+            help="Where each parameter ends, 1,0.5, or from where to where it goes, 0:1,-1:1; by default to 1."
+        ),
     ] = None,
     grid: Annotated[
         str | None,
-        typer.Option(help="How many values of each parameter are shown, 4,3 [default: 5, or 3,3, or the ends]."),
+        typer.Option(help="How many values of each parameter are shown, 4,3; by default 5, or 3,3, or the ends."),
     ] = None,
     distil: Annotated[
         bool, typer.Option("--distil", help="Train one network of space and parameters even where nothing needs it.")

@@ -35,7 +35,7 @@ Fix = Annotated[
 Only = Annotated[list[str] | None, typer.Option("--only", help="A region outside of which all stands still.")]
 Soft = Annotated[
     float | None,
-    typer.Option("--soft", help="Width of the edge around still regions, a length [default: by the size]."),
+    typer.Option("--soft", help="Width of the edge around still regions, a length; by default by the size."),
 ]
 
 # Farther than this share of the size of the shape from what is painted, the paint is that of something else.

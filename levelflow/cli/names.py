@@ -203,7 +203,11 @@ def walk_in(text: str, field: Field, call: str) -> Walk:
 def walk_example(field: Field) -> str:
     """A walk through the parameters of a field, one after the other, as it is written."""
     ends = field.box.times if field.box is not None else ((0.0, 1.0),) * field.times
-    corners = [[last if i < j else first for i, (first, last) in enumerate(ends)] for j in range(len(ends) + 1)]
+    mixed = bool(_shares(field))
+    corners = [
+        [last if (i == j - 1 if mixed else i < j) else first for i, (first, last) in enumerate(ends)]
+        for j in range(len(ends) + 1)
+    ]
     return ":".join(",".join(f"{value:g}" for value in corner) for corner in corners)
 
 
@@ -215,10 +219,16 @@ def motion_in_words(field: Field) -> str:
     return f"the field has {field.times} parameters, from {' and from '.join(ends)}"
 
 
+def _shares(field: Field) -> tuple[str, ...]:
+    """The shapes of which a field holds the mixtures (`levelflow morph --simplex`); its parameters are their shares."""
+    names = tuple(getattr(field, "provenance", {}).get("shares", ()))
+    return names if len(names) == field.times + 1 else ()
+
+
 def _check_shares(field: Field, values: Sequence[float], call: str) -> None:
-    """Refuses shares of shapes that are more than all, in a field of mixtures (`levelflow morph --simplex`)."""
-    names = getattr(field, "provenance", {}).get("shares", ())
-    if len(names) == len(values) + 1 and sum(values) > 1 + 1e-9:
+    """Refuses shares that are more than all."""
+    names = _shares(field)
+    if names and sum(values) > 1 + 1e-9:
         raise ValueError(
             f"{call}: these are the shares of {', '.join(names[1:])}, and their sum is {sum(values):g}; give at most 1 "
             f"together, the rest is the share of {names[0]}."
@@ -226,9 +236,10 @@ def _check_shares(field: Field, values: Sequence[float], call: str) -> None:
 
 
 def _example(field: Field) -> str:
-    """The middle of the interval of each parameter."""
+    """The middle of the interval of each parameter, or the same share of each shape."""
     ends = field.box.times if field.box is not None else ((0.0, 1.0),) * field.times
-    return ",".join(f"{(first + last) / 2:.3g}" for first, last in ends)
+    part = 1 / (len(_shares(field)) or 2)
+    return ",".join(f"{first + part * (last - first):.3g}" for first, last in ends)
 
 
 def numbers_in(text: str, option: str) -> tuple[float, ...]:

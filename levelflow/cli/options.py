@@ -9,7 +9,7 @@ import typer
 
 ShapeArgument = Annotated[str, typer.Argument(metavar="SHAPE", help="A mesh, a point cloud, a field, or a built-in.")]
 Folder = Annotated[
-    Path | None, typer.Option("--output", "-o", help="The folder for the results [default: SHAPE-VERB].")
+    Path | None, typer.Option("--output", "-o", help="The folder for the results; by default SHAPE-VERB.")
 ]
 Steps = Annotated[
     int | None,

@@ -104,6 +104,9 @@ def test_mixtures_of_circles_have_the_mean_of_their_radii(run, here):
         # A triangle, whose top is in the middle of the sheet.
         assert picture.width == 3 * 384 and np.ptp(np.array(picture)[100:300, :300].reshape(-1, 3), axis=0).max() == 0
     assert load("out/field.safetensors").provenance["shares"] == ["a", "b", "c"]
+    code, _, err = run("film", "out/field.safetensors", "-o", "x.gif")
+    assert code == 2 and "such as --path 0,0:1,0:0,1, or" in err
+    assert "with --time 0.333,0.333." in run("mesh", "out/field.safetensors", "-o", "x.ply")[2]
     for option in (("--time", "0.8,0.8"), ("--path", "0,0:0.9,0.2")):
         code, _, err = run("film", "out/field.safetensors", *option, "--turntable", 9, "-o", "x.gif")
         assert code == 2 and "these are the shares of b, c, and their sum is 1." in err and "the share of a" in err

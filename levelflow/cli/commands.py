@@ -19,6 +19,7 @@ from levelflow.cli.names import (
     box_of,
     builtin,
     center_in,
+    edge_radius,
     half_box,
     key_named,
     numbers_in,
@@ -166,6 +167,13 @@ def smooth(
     rate: Annotated[
         float | None, typer.Option(help="Rate of mean curvature motion, length^2 per time; by default by the size.")
     ] = None,
+    keep_edges: Annotated[
+        str | None,
+        typer.Option(
+            metavar="RADIUS",
+            help="Let bends sharper than this radius, a length, hardly move; auto: by the size.",
+        ),
+    ] = None,
     times: Times = "0:1:5",
     relative: Relative = False,
     keep_volume: Annotated[
@@ -190,17 +198,18 @@ def smooth(
 
     With a mask, at a rate of its own in every place: what stands still is a boundary for the rest.
     """
-    from levelflow.equations import MeanCurvature, VolumePreserving
+    from levelflow.equations import FeaturePreserving, LevelSetEquation, MeanCurvature, VolumePreserving
 
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
     key = key_named(shape)
     unit = half_box(box_of(key))
     speed = 1e-3 * unit**2 if rate is None else rate * unit**2 if relative else rate
-    where = mask_of(key, mask, mask_by, fix, only, soft, relative=relative)
-    equation = masked(MeanCurvature(speed), where)
-    equation = VolumePreserving(equation) if keep_volume else equation
+    sharpest = None if keep_edges is None else edge_radius(keep_edges, unit=unit, relative=relative)
+    motion: LevelSetEquation = MeanCurvature(speed) if sharpest is None else FeaturePreserving(speed, 1 / sharpest)
+    motion = masked(motion, mask_of(key, mask, mask_by, fix, only, soft, relative=relative))
+    motion = VolumePreserving(motion) if keep_volume else motion
     folder, inputs = output or folder_for([shape], "smooth"), [shape, *([str(mask)] if mask else [])]
-    evolve(run, "smooth", inputs, {0.0: key}, equation, times_in(times), folder, resolution=resolution)
+    evolve(run, "smooth", inputs, {0.0: key}, motion, times_in(times), folder, resolution=resolution)
 
 
 @app.command()

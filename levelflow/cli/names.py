@@ -250,6 +250,22 @@ def numbers_in(text: str, option: str) -> tuple[float, ...]:
         raise ValueError(f"{option} {text}: give numbers with commas between them, such as 0,1,0.") from None
 
 
+def edge_radius(text: str, *, unit: float, relative: bool) -> float:
+    """The radius of the sharpest bends that are no edges: a length in the units of the file, or `auto`."""
+    if text == "auto":
+        return 0.1 * unit
+    try:
+        radius = float(text) * (unit if relative else 1.0)
+    except ValueError:
+        radius = math.nan
+    if not radius > 0 or not math.isfinite(radius):
+        raise ValueError(
+            f"--keep-edges {text}: give the radius of the sharpest bends that are to be smoothed like all others, a "
+            f"length such as {0.1 * unit:.3g}, or auto."
+        )
+    return radius
+
+
 def box_of(key: Key) -> Box:
     """The box around the surface of a shape or field."""
     from levelflow.conditions import surface_of

@@ -15,6 +15,8 @@ import torch
 
 from levelflow import Mesh, __version__, load
 from levelflow.cli.names import times_in, velocity_named
+from levelflow.equations import FeaturePreserving
+from levelflow.equations.described import equation_of
 from levelflow.saving import describe
 from levelflow.shapes import Sphere
 
@@ -109,6 +111,15 @@ def test_a_fitted_field_is_a_shape_for_other_commands(run, tmp_path):
     assert run("measure", field, "sphere")[0] == 0
 
 
+@pytest.mark.parametrize(("given", "threshold"), [(("auto",), 16.0), (("0.05",), 20.0), (("0.05", "--relative"), 32.0)])
+def test_edges_are_kept_beyond_a_radius_in_the_units_of_the_file(run, tmp_path, given, threshold):
+    """A cuboid of side 1 has a box of half the side 0.625."""
+    code, *_ = run("smooth", "cuboid", "--rate", "0.001", "--keep-edges", *given, "-o", tmp_path / "out",
+                   "--times", "0,1", "--steps", 2, "--resolution", 8, *SMALL)  # fmt: skip
+    equation = equation_of(load(tmp_path / "out" / "field.safetensors").provenance)
+    assert code == 0 and isinstance(equation, FeaturePreserving) and math.isclose(equation.threshold, threshold)
+
+
 def test_a_point_cloud_is_smoothed(run, tmp_path):
     points = np.random.default_rng(0).normal(size=(400, 3))
     np.savetxt(tmp_path / "cloud.xyz", points / np.linalg.norm(points, axis=1, keepdims=True))
@@ -163,6 +174,8 @@ def test_a_time_budget_is_kept(run, tmp_path):
         (("smooth", "sphere", "-o", "OUT", "--times", "soon"), 2, "give numbers"),
         (("smooth", "sphere", "-o", "OUT", "--times", "0"), 2, "ask for other times"),
         (("smooth", "sphere", "-o", "OUT", "--rate", "-1"), 2, "the rate must be positive"),
+        (("smooth", "sphere", "-o", "OUT", "--keep-edges", "sharp"), 2, "the radius of the sharpest bends.*or auto"),
+        (("smooth", "sphere", "-o", "OUT", "--keep-edges", "-1"), 2, "the radius of the sharpest bends.*or auto"),
         (("smooth", "sphere", "-o", "OUT", "--device", "abacus"), 2, "no such kind of device"),
         (("smooth", "sphere", "-o", "OUT", "--steps", "0"), 2, "must be positive"),
         (("smooth", "sphere", "-o", "OUT", "--resolution", "1"), 2, "at least 2 cells"),

@@ -135,7 +135,9 @@ def _columns(number: int, title: str, rows: Sequence[Record]) -> str:
         lines.append(_line([f"**{record.name}**, published", *record.published_columns, ""]))
         for way, values in record.columns.items():
             missed = record.missed(way)
-            lines.append(_line([way, *values, ", ".join(missed) if len(missed) < 4 else f"{len(missed)} of 6"]))
+            lines.append(
+                _line([way, *values, ", ".join(missed) or "none" if len(missed) < 4 else f"{len(missed)} of 6"])
+            )
     return "\n".join(lines)
 
 
@@ -166,4 +168,6 @@ def _rule(n: int) -> str:
 def _text(cell: Cell) -> str:
     if cell is None:
         return ""
-    return cell if isinstance(cell, str) else f"{cell:.2g}" if abs(cell) < 10 else f"{cell:.0f}"
+    if isinstance(cell, str):
+        return cell
+    return f"{cell:.2g}" if abs(cell) < 1 else f"{cell:.3g}"

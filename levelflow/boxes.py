@@ -11,6 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+Until = float | Sequence[float] | Sequence[float | Sequence[float] | None] | None
+"""The other end of an interval, or both ends; for several parameters one of these, or None, for each."""
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -164,3 +167,30 @@ def interval(given: Iterable[float], until: float | Sequence[float] | None, *, c
     if min(times) == max(times):
         raise ValueError(f"{call}: all is given at t = {times[0]:g}; say how far to go with until=...")
     return min(times), max(times)
+
+
+def intervals(given: Sequence[Iterable[float]], until: Until, *, call: str) -> list[tuple[float, float]]:
+    """The interval of each time or parameter.
+
+    Args:
+        given: The values of each at which something is known; none for one that is free.
+        until: The other end of its interval, or both ends; one of these for each of several parameters.
+        call: Who asks, for the errors.
+
+    Raises:
+        ValueError: If an interval is missing, or there are not as many as parameters.
+    """
+    k = len(given)
+    ends = [until] if k == 1 else list(until) if isinstance(until, Sequence) else [until] * k
+    if len(ends) != k:
+        raise ValueError(f"{call}(until={until}): there are {k} parameters; give an end, or both ends, for each.")
+    found = []
+    for i, (values, end) in enumerate(zip(given, ends, strict=True)):
+        known = list(values)
+        if not known and not (isinstance(end, Sequence) and len(end) == 2 and end[0] != end[1]):
+            raise ValueError(
+                f"{call}(until={until}): nothing is given at a value of parameter {i}; say from where to where it "
+                "goes, until=(..., (0, 1))."
+            )
+        found.append(interval(known, end, call=call if k == 1 else f"{call}, parameter {i}"))  # type: ignore[arg-type]
+    return found

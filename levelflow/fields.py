@@ -90,6 +90,15 @@ class Field(Map):
         self._check_times(t)
         return Slice(self, t)
 
+    def carry(
+        self, x: Float[Tensor, "n d"], start: Float[Tensor, "n k"], end: Float[Tensor, "n k"]
+    ) -> Float[Tensor, "n d"] | None:
+        """Where points of a level set at the times `start` are at the times `end`, as far as the field knows.
+
+        None where it knows no more of the motion than its level sets, which say nothing of what moves along them.
+        """
+        return None
+
     def _check_times(self, t: Sequence[float | None]) -> None:
         if len(t) != self.times:
             raise ValueError(
@@ -134,6 +143,91 @@ class Slice(Field):
                 jet.space,
             )
         )
+
+
+class Walk(Field):
+    r"""The field of space and one time that walks through the parameters of another, $g(x, s) = f(x, p(s))$.
+
+    The way p is a polyline, walked from its first corner at s = 0 to its last at s = 1 at constant speed, where the
+    interval of each parameter counts as one unit of length.
+
+    Args:
+        field: The field f, of at least one time or parameter.
+        corners: Two or more points of its parameters.
+
+    Raises:
+        ValueError: If a corner has not one number for each parameter or lies outside their intervals, or the way has no
+            length.
+    """
+
+    def __init__(self, field: Field, corners: Sequence[Sequence[float]]) -> None:
+        super().__init__()
+        self.corners = tuple(tuple(map(float, corner)) for corner in corners)
+        for corner in self.corners:
+            field._check_times(corner)
+        units = (
+            [last - first or 1.0 for first, last in field.box.times] if field.box is not None else [1.0] * field.times
+        )
+        turns = [a for a, b in zip(self.corners, self.corners[1:], strict=False) if a != b] + [*self.corners[-1:]]
+        if len(turns) < 2:
+            raise ValueError(
+                f"Walk(corners={self.corners}): the way has no length; give two different corners or more."
+            )
+        self._turns = torch.tensor(turns, dtype=torch.float64)
+        lengths = torch.linalg.vector_norm(self._turns.diff(dim=0) / self._turns.new_tensor(units), dim=1)
+        self._since = torch.cat([lengths.new_zeros(1), lengths.cumsum(0) / lengths.sum()])
+        self.field, self.space, self.times = field, field.space, 1
+        self.box = None if field.box is None else field.box.during((0.0, 1.0))
+
+    def place(self, s: float) -> tuple[float, ...]:
+        """The parameters p(s)."""
+        return tuple(self._places(torch.tensor([[s]], dtype=torch.float64))[0][0].tolist())
+
+    def at(self, *t: float | None) -> Field:
+        self._check_times(t)
+        return self if t[0] is None else self.field.at(*self.place(t[0]))
+
+    def forward(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"] | None = None) -> Float[Tensor, " n"]:
+        x, t = self._inputs(x, t)
+        return self.field(x, self._places(t)[0])
+
+    def jet(self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"] | None = None, *, order: int = 1) -> Jet:
+        x, t = self._inputs(x, t)
+        places, slopes = self._places(t)
+        jet = self.field.jet(x, places, order=order)
+        if jet.first is None:
+            return jet
+        rate = (jet.dt * slopes.to(jet.dt)).sum(1, keepdim=True)
+        return Jet(jet.value, torch.cat([jet.gradient, rate], dim=1), jet.second, self.space)
+
+    def push(self, jet: Jet) -> Jet:
+        places, slopes = self._places(jet.value[:, self.space :])
+
+        def walked(planes: Tensor) -> Tensor:
+            """Derivatives of space and s as those of space and p(s), which is straight but at its corners."""
+            steps = slopes.reshape(len(slopes), *[1] * (planes.ndim - 2), -1)
+            return torch.cat([planes[..., : self.space], planes[..., self.space :] * steps], dim=-1)
+
+        return self.field.push(
+            Jet(
+                torch.cat([jet.value[:, : self.space], places], dim=1),
+                None if jet.first is None else walked(jet.first),
+                None if jet.second is None else walked(jet.second),
+                jet.space,
+            )
+        )
+
+    def carry(
+        self, x: Float[Tensor, "n d"], start: Float[Tensor, "n k"], end: Float[Tensor, "n k"]
+    ) -> Float[Tensor, "n d"] | None:
+        return self.field.carry(x, self._places(start)[0], self._places(end)[0])
+
+    def _places(self, s: Float[Tensor, "n 1"]) -> tuple[Float[Tensor, "n k"], Float[Tensor, "n k"]]:
+        """The parameters p(s), and their derivatives p'(s)."""
+        turns, since = self._turns.to(s), self._since.to(s)
+        leg = (torch.searchsorted(since, s[:, 0].contiguous(), right=True) - 1).clamp(0, len(since) - 2)
+        slopes = (turns.diff(dim=0) / since.diff()[:, None])[leg]
+        return turns[leg] + (s - since[leg][:, None]) * slopes, slopes
 
 
 class Deformed(Field):

@@ -168,7 +168,8 @@ def residual_table(
     r"""The three columns by which evolutions are judged, each of n new points.
 
     $|f(\cdot, t_0)|$ on the surface, $|f(\cdot, t_0) - g|$ at uniform points of the field's box, and $|F|$ at uniform
-    points of the box and its times. Small columns are necessary, not sufficient: a flatter f has a smaller residual.
+    points of the box and its times, or those of them that the equation draws. Small columns are necessary, not
+    sufficient: a flatter f has a smaller residual.
 
     Args:
         field: The field f, with a box.
@@ -193,7 +194,9 @@ def residual_table(
     on_surface = shape.sample(n, generator=generator).points.to(device)
     in_box = field.box.uniform(n, generator=generator).to(device)
     x = field.box.uniform(n, generator=generator).to(device)
-    t = field.box.uniform_times(n, generator=generator).to(device)
+    draw = getattr(equation, "draw", None)
+    drawn = draw(n, generator=generator) if draw is not None else None
+    t = (field.box.uniform_times(n, generator=generator) if drawn is None else drawn).to(device)
     start = x.new_tensor(times).expand(n, -1)
     with torch.no_grad():
         surface = field(on_surface, start)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -13,6 +14,10 @@ from torch import Tensor
 
 from levelflow._version import __version__
 from levelflow.boxes import Box
+from levelflow.equations.equation import Equation, LevelSetEquation
+from levelflow.equations.family import Family
+from levelflow.equations.masks import BoxMask, Mask, PaintedMask, ProductOfMasks, SphereMask
+from levelflow.equations.regional import Regional
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, Velocity
 from levelflow.fields import Deformed, Field, Map, Placed, Slice
 from levelflow.keyframed import Keyframed
@@ -28,6 +33,9 @@ from levelflow.transported import Transported
 FORMAT = 3
 _KEY = "levelflow"
 _VELOCITIES: dict[str, Any] = {kind.__name__: kind for kind in (Constant, Rotation, Twist, Source)}
+_MASKS: dict[str, Any] = {kind.__name__: kind for kind in (BoxMask, SphereMask)}
+# The names of tensors that are tables of masks start so; those of networks do not.
+_PAINTED = "mask:"
 _NETWORKS: dict[str, Any] = {kind.__name__: kind for kind in (SIREN, LipschitzMLP, InvertibleResNet)}
 
 
@@ -39,8 +47,8 @@ def save(field: Saved, path: str | Path) -> None:
     """Writes a field to a safetensors file whose header rebuilds it: architecture, box, times and provenance.
 
     Networks are placed in a box, deformed by invertible networks or their inverses if they are. A `Transported` field
-    is the field that is carried and the velocities that carry it, and a `Retimed` field one of these with its keys. The
-    file appears whole or not at all. The same field gives the same bytes.
+    is the field that is carried, and the velocities that carry it, with their masks, and a `Retimed` field one of these
+    with its keys. The file appears whole or not at all. The same field gives the same bytes.
 
     Raises:
         TypeError: If the field is not made of networks of this library, or not placed, or is carried by something else
@@ -65,9 +73,10 @@ def save(field: Saved, path: str | Path) -> None:
         "box": _described(carried.box),
         "provenance": field.provenance,
     }
+    tensors = {name: value.detach().cpu().clone() for name, value in carried.field.state_dict().items()}
     if isinstance(moving, Transported):
         header["transported"] = {
-            "velocities": _velocities(moving),
+            "motion": _motion(moving.motion, tensors),
             "box": _described(moving.box),
             "time": moving.time,
             "steps": moving.steps,
@@ -78,7 +87,7 @@ def save(field: Saved, path: str | Path) -> None:
             {"keys": list(layer.keys.items()), "ease": layer.ease, "field": layer.field.provenance}
             for layer in reversed(retimed)
         ]
-    _write(path, {name: value.detach().cpu().clone() for name, value in carried.field.state_dict().items()}, header)
+    _write(path, tensors, header)
 
 
 def load(path: str | Path) -> Saved:
@@ -92,14 +101,18 @@ def load(path: str | Path) -> Saved:
     tensors, header = _read(path, kind="field")
     try:
         network = _field(header["network"])
+        painted = {name: tensors.pop(name) for name in list(tensors) if name.startswith(_PAINTED)}
         network.load_state_dict(tensors, assign=True)
         field: Saved = Placed(network, _box(header["box"]))
         if (carried := header.get("transported")) is not None:
             field.provenance = dict(carried["shape"])
-            field = Transported(
-                Transport(_velocity(carried["velocities"])), field, box=_box(carried["box"]), time=carried["time"],
-                steps=carried["steps"],
-            )  # fmt: skip
+            motion = _moved(carried.get("motion", carried), painted)
+            with warnings.catch_warnings():
+                # That the motions of a family do not commute was said when it was made.
+                warnings.simplefilter("ignore")
+                field = Transported(
+                    motion, field, box=_box(carried["box"]), time=carried["time"], steps=carried["steps"]
+                )
         for clock in header.get("retimed", ()):
             field.provenance = dict(clock["field"])
             field = Retimed(field, dict(clock["keys"]), ease=clock["ease"])
@@ -190,30 +203,75 @@ def _field(described: Mapping[str, Any]) -> Field:
     return made
 
 
-def _velocities(field: Transported) -> list[dict[str, Any]]:
-    """The velocity fields whose sum carries a field, as plain values."""
-    velocity = field.motion.velocity if isinstance(field.motion, Transport) else None
+def _motion(motion: Equation, tensors: dict[str, Tensor]) -> dict[str, Any]:
+    """A motion by velocity fields, or a family of them, as plain values; tables of masks are added to the tensors."""
+    if isinstance(motion, Family):
+        return {"family": [_motion(part, tensors) for part in motion.motions]}
+    described = {}
+    if isinstance(motion, Regional):
+        described, motion = {"mask": _mask(motion.mask, tensors)}, motion.motion
+    velocity = motion.velocity if isinstance(motion, Transport) else None
     parts = velocity.velocities if isinstance(velocity, SumOfVelocities) else (velocity,)
-    described = []
     for part in parts:
         if not isinstance(part, tuple(_VELOCITIES.values())):
             raise TypeError(
                 f"save: cannot write a field carried by {part!r}, since files hold no code; "
                 f"{', '.join(_VELOCITIES)} and their sums can be saved. Distil the field into a network with solve."
             )
-        described.append({"type": type(part).__name__, **asdict(cast(Any, part))})
-    return described
+    return described | {"velocities": [{"type": type(part).__name__, **asdict(cast(Any, part))} for part in parts]}
+
+
+def _mask(mask: Any, tensors: dict[str, Tensor]) -> dict[str, Any]:
+    kind = {"type": type(mask).__name__}
+    match mask:
+        case ProductOfMasks():
+            return kind | {"masks": [_mask(part, tensors) for part in mask.masks]}
+        case PaintedMask():
+            name = f"{_PAINTED}{sum(name.startswith(_PAINTED) for name in tensors)}"
+            tensors[name] = mask.table.detach().cpu().clone()
+            return kind | {"table": name, "box": _described(mask.box), "name": mask.name}
+        case BoxMask() | SphereMask():
+            return kind | asdict(mask)
+    raise TypeError(
+        f"save: cannot write a field whose motion has the mask {mask!r}, since files hold no code; "
+        f"{', '.join(_MASKS)}, PaintedMask and ProductOfMasks can be saved."
+    )
+
+
+def _moved(described: Mapping[str, Any], painted: Mapping[str, Tensor]) -> Equation:
+    """The described motion."""
+    if "family" in described:
+        return Family(*(cast(LevelSetEquation, _moved(part, painted)) for part in described["family"]))
+    motion = Transport(_velocity(described["velocities"]))
+    return Regional(motion, _masked(described["mask"], painted)) if "mask" in described else motion
+
+
+def _masked(described: Mapping[str, Any], painted: Mapping[str, Tensor]) -> Mask:
+    """The described mask."""
+    match described["type"]:
+        case "ProductOfMasks":
+            return ProductOfMasks(tuple(_masked(part, painted) for part in described["masks"]))
+        case "PaintedMask":
+            return PaintedMask(painted[described["table"]], _box(described["box"]), described["name"])
+        case kind if kind in _MASKS:
+            return cast(Mask, _MASKS[kind](**_arguments(described)))
+        case kind:
+            raise ValueError(f"its motion has a mask that is a {kind!r}, which this version does not know")
 
 
 def _velocity(described: Sequence[Mapping[str, Any]]) -> Velocity:
     """The sum of the described velocity fields."""
     parts = []
     for one in described:
-        values = {key: tuple(v) if isinstance(v, list) else v for key, v in one.items() if key != "type"}
         if one["type"] not in _VELOCITIES:
             raise ValueError(f"its velocity is a {one['type']!r}, which this version does not know")
-        parts.append(_VELOCITIES[one["type"]](**values))
+        parts.append(_VELOCITIES[one["type"]](**_arguments(one)))
     return parts[0] if len(parts) == 1 else SumOfVelocities(tuple(parts))
+
+
+def _arguments(described: Mapping[str, Any]) -> dict[str, Any]:
+    """The arguments that make what is described, with tuples where files have lists."""
+    return {key: tuple(v) if isinstance(v, list) else v for key, v in described.items() if key != "type"}
 
 
 class Checkpoint:

@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 from levelflow.bending import Agreement, Bending
-from levelflow.boxes import Box, interval
+from levelflow.boxes import Box, Until, intervals
 from levelflow.conditions import BAND, NARROW, Given, Key, OffSurface, OnSurface, Sampling, surface_of
+from levelflow.equations.commuting import warn_of_order
 from levelflow.equations.equation import Equation
 from levelflow.equations.family import Family
 from levelflow.equations.volume import VolumePreserving
@@ -31,9 +32,6 @@ from levelflow.transported import reach, reach_of_family
 
 Instant = float | tuple[float | None, ...]
 """A time, or a number for each of several parameters; None stands for all values of one."""
-
-Until = float | Sequence[float] | Sequence[float | Sequence[float] | None] | None
-"""The other end of an interval, or both ends; for several parameters one of these, or None, for each."""
 
 
 def solve(
@@ -104,11 +102,12 @@ def solve(
         raise ValueError(
             f"solve: {equation!r} keeps the volume in one part only; put everything inside, VolumePreserving(a + b)."
         )
-    intervals = _intervals(instants, until, network.times)
+    known = [[t[i] for t in instants if not math.isnan(t[i])] for i in range(network.times)]
+    ends = intervals(known, until, call="solve")
     if not 0 <= warm_up < 1:
         raise ValueError(f"solve(warm_up={warm_up:g}): give the part of the budget, at least 0 and below 1.")
     if network.loops:
-        _check_loop(instants, intervals[0])
+        _check_loop(instants, ends[0])
     check_cell(network, box, call="solve")
     surfaces = [surface_of(key) for key in at.values()]
     if spaces := {surface.box.space for surface in surfaces} - {network.space}:
@@ -118,8 +117,8 @@ def solve(
         )
     sharpens = False
     for column in equation.columns:
-        first = intervals[column.parameter][0]
-        given_at = min((i[column.parameter] for i in instants if not math.isnan(i[column.parameter])), default=first)
+        first = ends[column.parameter][0]
+        given_at = min(known[column.parameter], default=first)
         if column.sharpens and first < given_at:
             sharpens = True
             warnings.warn(
@@ -129,12 +128,15 @@ def solve(
             )
     if box is None:
         if network.times == 1 and not isinstance(equation, Family):
-            box = reach(equation, {t: s for (t,), s in zip(instants, surfaces, strict=True)}, intervals[0])
+            box = reach(equation, {t: s for (t,), s in zip(instants, surfaces, strict=True)}, ends[0])
         else:
-            box = reach_of_family(equation, surfaces, instants, intervals)
+            box = reach_of_family(equation, surfaces, instants, ends)
         if equation.averages or equation.bends:
             box = box.cube()  # such a surface may grow where it was thin
-    box = box.during(*intervals)
+    box = box.during(*ends)
+    if isinstance(equation, Family):
+        since = [min(values, default=first) for values, (first, _) in zip(known, ends, strict=True)]
+        warn_of_order(equation, box, since, "Training settles between the two orders.", call="solve")
     generator = torch.Generator().manual_seed(seed)
     if start is not None:
         network = _lifted(start, network, box, generator)
@@ -196,7 +198,7 @@ def solve(
             ",".join(":" if math.isnan(t) else f"{t:.15g}" for t in instant): accuracy(
                 field.at(*place), surface, seed=seed
             )
-            for instant, place, surface in zip(instants, _filled(instants, intervals), surfaces, strict=True)
+            for instant, place, surface in zip(instants, _filled(instants, ends), surfaces, strict=True)
         },
     }
     return field
@@ -258,32 +260,15 @@ def _check_loop(instants: Sequence[tuple[float, ...]], ends: tuple[float, float]
         )
 
 
-def _intervals(instants: Sequence[tuple[float, ...]], until: Until, k: int) -> list[tuple[float, float]]:
-    """The interval of each time or parameter."""
-    ends = [until] if k == 1 else list(until) if isinstance(until, Sequence) else [until] * k
-    if len(ends) != k:
-        raise ValueError(f"solve(until={until}): the network has {k} parameters; give an end, or both ends, for each.")
-    found = []
-    for i, end in enumerate(ends):
-        known = [instant[i] for instant in instants if not math.isnan(instant[i])]
-        if not known and not (isinstance(end, Sequence) and len(end) == 2 and end[0] != end[1]):
-            raise ValueError(
-                f"solve(until={until}): nothing is given at a value of parameter {i}; say from where to where it goes, "
-                "until=(..., (0, 1))."
-            )
-        found.append(interval(known, end, call="solve" if k == 1 else f"solve, parameter {i}"))  # type: ignore[arg-type]
-    return found
-
-
 def _held(equation: Equation, x: Tensor) -> Tensor:
     """Whether points move with none of the times or parameters, (n,)."""
     moving = [column.held(x) for column in equation.columns if column.is_speed or column.is_rate]
     return torch.stack(moving).all(0) if moving else torch.zeros(len(x), dtype=torch.bool, device=x.device)
 
 
-def _filled(instants: Sequence[tuple[float, ...]], intervals: Sequence[tuple[float, float]]) -> list[tuple[float, ...]]:
+def _filled(instants: Sequence[tuple[float, ...]], ends: Sequence[tuple[float, float]]) -> list[tuple[float, ...]]:
     """The instants, with the middle of the interval in the place of what is free."""
-    middles = [(first + last) / 2 for first, last in intervals]
+    middles = [(first + last) / 2 for first, last in ends]
     return [tuple(m if math.isnan(t) else t for t, m in zip(instant, middles, strict=True)) for instant in instants]
 
 

@@ -12,7 +12,8 @@ class Steepness:
     r"""The bound $\prod_l e^{c_l}$ of all slopes of a `LipschitzMLP`, in space and time together.
 
     It is no mean over samples, so its one sample stands for all. A distance in normalised units has a bound of at least
-    1, and a network starts with one of some thousands.
+    1, and a network starts with one of some thousands. A greater weight makes smoother ways between the given shapes,
+    and rounds these (docs/keyframes.md).
 
     Reference:
         Liu et al., Learning Smooth Neural Functions via Lipschitz Regularization, SIGGRAPH 2022, Sec. 4.

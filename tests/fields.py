@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from levelflow.boxes import Box
-from levelflow.fields import Deformed, Field, Map, Placed, Slice, Sum
+from levelflow.fields import Deformed, Field, Map, Placed, Slice, Sum, Walk
 from levelflow.jets import Jet
 from levelflow.networks.invertible import Inverse, InvertibleResNet
 from levelflow.networks.lifting import lift
@@ -156,6 +156,8 @@ FIELDS: dict[str, Field] = {
     "placed at a time": placed(2, 1).at(4.0),
     "placed at one of two times": placed(2, 2).at(4.0, None),
     "slice of a placed": Slice(placed(3, 1), (4.0,)),
+    "walk": Walk(siren(2, 2), [(0.3, -0.5), (1.0, 2.0), (0.0, 0.5)]),
+    "walk of a placed": Walk(placed(3, 2), [(2.0, -1.0), (4.0, 0.5), (2.0, 0.5)]),
     "deformed": Deformed(siren(2), Wave(2)),
     "deformed in time": Deformed(siren(3), Wave(3, 1)),
     "deformed, placed": Deformed(placed(2), Wave(2)),

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from levelflow.averaging import Averages
+from levelflow.averaging import Averages, with_means
 from levelflow.boxes import Box
 from levelflow.equations import MeanCurvature, VolumePreserving
 from levelflow.fields import Placed
@@ -67,3 +67,8 @@ def test_what_has_vanished_has_no_mean(generator: torch.Generator) -> None:
     gone = Averages(field, VolumePreserving(MeanCurvature(0.1)), origin=1.0)
     assert not gone.measured(gone.unknown, jet_of(field), generator).any()
     assert gone.known(gone.unknown).reach == math.inf
+
+
+def test_an_equation_finds_its_means_on_a_field(generator: torch.Generator) -> None:
+    motion = with_means(VolumePreserving(MeanCurvature(0.1)), placed(1.0, 0.0), origin=0.0, generator=generator)
+    assert motion.means == pytest.approx([-0.1] * Averages.knots, rel=5e-3)

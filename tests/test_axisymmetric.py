@@ -7,7 +7,8 @@ import pytest
 
 from levelflow.shapes import Dumbbell, Sphere, Torus
 from levelflow.suite import Tube
-from tests.axisymmetric import Neck, Revolved, collapse, pinch, ring
+from levelflow.suite.energies import BENT_RING
+from tests.axisymmetric import Neck, Revolved, bent_ring, collapse, pinch, ring
 
 
 def dumbbell(n: int) -> Neck:
@@ -97,3 +98,13 @@ def test_a_film_within_the_critical_distance_comes_to_rest_as_a_catenoid():
 def test_what_does_not_happen_in_time_is_said():
     with pytest.raises(ValueError, match=r"time_of\(last=0.001\): the quantity is still -.*; wait longer"):
         pinch(Revolved(Sphere(0.5), 0.7, 0.7, spacing=0.1), last=0.001)
+
+
+def test_a_torus_under_willmore_flow_tends_to_cliffords_and_the_suite_knows_its_way() -> None:
+    start, middle, end = bent_ring(0.5, 0.25, [0.0, 0.001, 0.03], n=25)
+    for row, t in ((start, 0.0), (middle, 0.001)):
+        low, high, energy = BENT_RING[t]
+        assert row == pytest.approx([low, high, np.pi * energy], rel=1e-4)
+    assert start[2] == pytest.approx(np.pi**2 * 4 / np.sqrt(3))
+    assert end[2] == pytest.approx(2 * np.pi**2, rel=1e-4)
+    assert (end[1] + end[0]) / (end[1] - end[0]) == pytest.approx(np.sqrt(2), rel=1e-2)

@@ -8,9 +8,12 @@ import pytest
 import torch
 
 from levelflow.boxes import Box
-from levelflow.fields import Deformed, Placed, Slice, Sum
+from levelflow.equations import Family, Transport
+from levelflow.fields import Deformed, Placed, Slice, Sum, Walk
 from levelflow.networks.siren import SIREN
+from levelflow.shapes import Circle
 from levelflow.shapes.implicit import Implicit
+from levelflow.transported import Transported
 from tests.fields import FIELDS, Explicit, Product, Wave, invertible, lipschitz, placed, points, round_field, siren
 
 
@@ -46,6 +49,45 @@ def test_a_time_that_is_not_given_stays_free(t: tuple[float | None, ...]) -> Non
             assert rest.times == 0 and torch.allclose(rest(x[:1]), whole(x[:1], times[:1]), rtol=0, atol=1e-12)
     with pytest.raises(ValueError, match=r"at\(9\): the field was solved for times"):
         field.at(*(None if value is None else 9.0 for value in t))
+
+
+def test_a_walk_goes_along_its_way_at_constant_speed() -> None:
+    """In units of the intervals, 3 and 1.5 long: the legs are 1, 1 and 0.5 long."""
+    corners = [(2.0, -1.0), (5.0, -1.0), (5.0, -1.0), (5.0, 0.5), (3.5, 0.5)]
+    for field in (placed(3, 2), Explicit(round_field, 3, 2, box=placed(3, 2).box)):
+        walk = Walk(field, corners)
+        assert walk.times == 1 and walk.box == field.box.during((0.0, 1.0))
+        for s, place in ((0.0, (2, -1)), (0.2, (3.5, -1)), (0.4, (5, -1)), (0.6, (5, -0.25)), (1.0, (3.5, 0.5))):
+            assert walk.place(s) == pytest.approx(place, abs=1e-12)
+            x, t = points(walk)
+            exact = field.at(*walk.place(s))(x)
+            assert torch.allclose(walk.at(s)(x), exact, rtol=0, atol=1e-12)
+            assert torch.allclose(walk(x, torch.full_like(t, s)), exact, rtol=0, atol=1e-12)
+        assert walk.at(None) is walk
+    back = Walk(placed(2, 1), [(2.0,), (5.0,), (2.0,)])
+    assert back.place(0.25) == back.place(0.75) == (3.5,)
+    free = Walk(siren(2, 2), [(0.0, 0.0), (3.0, 4.0)])
+    assert free.box is None and free.place(0.5) == (1.5, 2.0)
+
+
+def test_points_that_are_carried_through_parameters_are_carried_along_a_walk(generator: torch.Generator) -> None:
+    pushes = Family(Transport((1.0, 0.0)), Transport((0.0, 2.0)))
+    walk = Walk(Transported(pushes, Circle(0.5), until=(1.0, 1.0)), [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)])
+    x, s = torch.rand(5, 2, generator=generator), torch.zeros(5, 1)
+    assert torch.allclose(walk.carry(x, s, s + 0.75), x + x.new_tensor([1.0, 1.0]))
+    assert Walk(siren(2, 1), [(0.0,), (1.0,)]).carry(x, s, s + 1) is None
+
+
+def test_a_walk_needs_a_way_within_the_parameters() -> None:
+    for corners, message in (
+        ([(2.0, 0.0)], "the way has no length; give two different corners"),
+        ([], "the way has no length"),
+        ([(2.0, 0.0), (2.0, 0.0)], "the way has no length"),
+        ([(2.0, 0.0), (2.0,)], r"depends on 2 time\(s\)"),
+        ([(2.0, 0.0), (6.0, 0.0)], r"at\(6\): the field was solved for times from 2 to 5"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Walk(placed(2, 2), corners)
 
 
 def test_deforming_composes_with_the_map(generator: torch.Generator) -> None:

@@ -34,13 +34,13 @@ LEVELS = (
 )
 STEPS = {
     "cli": (
-        ("names",),
-        ("lifting", "retiming", "running", "showing", "taking", "viewing"),
-        ("following",),
+        ("names", "options"),
+        ("lifting", "masking", "retiming", "running", "showing", "taking", "viewing"),
+        ("families", "following"),
         ("commands",),
     ),
     "equations": (
-        ("equation",),
+        ("equation", "masks"),
         (
             "curvature",
             "eikonal",
@@ -48,14 +48,14 @@ STEPS = {
             "features",
             "heat",
             "morph",
-            "regional",
             "stationary",
             "transport",
             "unconstrained",
             "volume",
             "willmore",
         ),
-        ("approach", "described", "simplicial"),
+        ("approach", "regional", "simplicial"),
+        ("commuting", "described"),
     ),
     "export": (
         ("frames", "normal_motion", "printing"),

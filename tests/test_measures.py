@@ -137,6 +137,21 @@ def test_columns_of_a_wrong_field_are_its_errors() -> None:
     assert str(table).splitlines()[2].split()[:2] == ["0.1", "0.1"]
 
 
+def test_an_equation_is_judged_where_it_draws() -> None:
+    """The rate is right at t = 0, where this equation draws all of its times, and wrong afterwards."""
+
+    class AtOnce(MeanCurvature):
+        def draw(self, n: int, *, generator: torch.Generator) -> Tensor:
+            return torch.zeros(n, 1, dtype=torch.float64)
+
+        def residual(self, x: Tensor, t: Tensor, jet: Jet) -> Tensor:
+            return super().residual(x, t, jet) + t[:, 0]
+
+    field = ShrinkingSphere(0.5, 0.1)
+    table = residual_table(field, AtOnce(rate=0.1), Sphere(0.5), time=0.0, generator=generator())
+    assert table.equation.max < 1e-12
+
+
 class Skin(Shape):
     """A sphere whose distance is not known."""
 

@@ -1,5 +1,7 @@
 import json
+import math
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
@@ -20,7 +22,18 @@ from levelflow import (
     load,
     save,
 )
-from levelflow.equations import Constant, Rotation, Source, Transport
+from levelflow.equations import (
+    BoxMask,
+    Constant,
+    Family,
+    PaintedMask,
+    ProductOfMasks,
+    Regional,
+    Rotation,
+    Source,
+    SphereMask,
+    Transport,
+)
 from levelflow.fields import Placed, Slice, Sum
 from levelflow.retimed import Retimed
 from levelflow.saving import describe
@@ -136,6 +149,46 @@ def test_only_our_own_fields_are_saved_retimed(tmp_path):
     disk = Transported(Transport((1.0, 0.0)), Circle(0.5), until=1.0)
     with pytest.raises(TypeError, match="cannot write a Retimed of a Transported of a Circle"):
         save(Retimed(disk, {0: 0, 1: 1}), tmp_path / "f.safetensors")
+
+
+BALL = SphereMask((0.5, 0.0), 0.3, 0.2, inside=0.0, outside=1.0)
+HALF = BoxMask((-math.inf, -1.0), (math.inf, 1.0), 0.1)
+PAINTED = PaintedMask.of(np.array([[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), np.array([0.0, 1.0, 0.5]), name="a.ply")
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [
+        Regional(Transport(Constant((1.0, 0.0)) + Rotation(1.0)), BALL),
+        Family(Transport((1.0, 0.0)), Transport((0.0, 2.0))),
+        Family(Regional(Transport((1.0, 0.0)), PAINTED), Regional(Transport((2.0, 0.0)), PAINTED)),
+        Regional(Transport((0.0, 1.0)), ProductOfMasks((HALF, PAINTED, PAINTED))),
+    ],
+    ids=["a mask", "a family", "painted masks", "a product of masks"],
+)
+def test_families_and_masks_come_back(tmp_path, generator, motion):
+    static = Placed(SIREN(2, width=8, depth=2), Box((-1.0, -1.0), (1.0, 2.0)))
+    k = len(motion.columns)
+    field = Transported(motion, static, box=static.box.during(*[(0.0, 1.0)] * k), time=(0.5, 0.25)[:k])
+    save(field, tmp_path / "f.safetensors")
+    again = load(tmp_path / "f.safetensors")
+    x, t = field.box.uniform(50, generator=generator), field.box.uniform_times(50, generator=generator)
+    assert torch.equal(field(x, t), again(x, t)) and again.box == field.box and again.steps == field.steps
+    assert repr(again.motion) == repr(motion) and tuple(np.ravel(again.time)) == tuple(np.ravel(field.time))
+
+
+def test_a_mask_of_code_is_not_saved_and_an_unknown_one_not_read(tmp_path, monkeypatch):
+    static = Placed(SIREN(2, width=8, depth=2), Box((-1.0, -1.0), (1.0, 2.0)))
+
+    def masked(mask):
+        return Transported(Regional(Transport((1.0, 0.0)), mask), static, box=static.box.during((0.0, 1.0)))
+
+    with pytest.raises(TypeError, match="whose motion has the mask <function .* files hold no code; BoxMask"):
+        save(masked(lambda x: x[:, 0]), tmp_path / "f.safetensors")
+    save(masked(BALL), tmp_path / "f.safetensors")
+    monkeypatch.setattr("levelflow.saving._MASKS", {})
+    with pytest.raises(ValueError, match="has a mask that is a 'SphereMask', which this version does not know"):
+        load(tmp_path / "f.safetensors")
 
 
 def test_a_field_carried_by_code_is_not_saved(tmp_path):

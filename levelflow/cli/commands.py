@@ -10,21 +10,40 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from levelflow._version import __version__
+from levelflow.cli.families import family, mix
 from levelflow.cli.following import edit
 from levelflow.cli.following import evolve as follow
 from levelflow.cli.lifting import lift, slice_field
+from levelflow.cli.masking import Fix, MaskBy, MaskFile, Only, Soft, mask_of, masked
 from levelflow.cli.names import (
     box_of,
     builtin,
+    center_in,
     edge_radius,
     half_box,
     key_named,
     numbers_in,
+    place_in,
     solid_named,
     surface_named,
     times_in,
     velocity_named,
     warn_of_distance,
+)
+from levelflow.cli.options import (
+    Depth,
+    Device,
+    Folder,
+    Quiet,
+    Relative,
+    Resolution,
+    Resume,
+    Seconds,
+    Seed,
+    ShapeArgument,
+    Steps,
+    Times,
+    Width,
 )
 from levelflow.cli.retiming import retime
 from levelflow.cli.running import (
@@ -53,27 +72,6 @@ app = typer.Typer(
     "this program (.safetensors), or one of: sphere, cuboid, rounded-cuboid, torus, cylinder, capsule, dumbbell. "
     "Add --debug to any command for a traceback.",
 )
-
-ShapeArgument = Annotated[str, typer.Argument(metavar="SHAPE", help="A mesh, a point cloud, a field, or a built-in.")]
-Folder = Annotated[
-    Path | None, typer.Option("--output", "-o", help="The folder for the results [default: SHAPE-VERB].")
-]
-Steps = Annotated[
-    int | None,
-    typer.Option(help="Training steps. By default 1200, or, where there is --seconds, as many as it allows."),
-]
-Seconds = Annotated[float | None, typer.Option(help="Training time; takes the place of the default number of steps.")]
-Seed = Annotated[int, typer.Option(help="Of every random choice.")]
-Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:1, ...")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but warnings and errors.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with the interrupted run in the output folder.")]
-Width = Annotated[int, typer.Option(help="Neurons of a layer.")]
-Depth = Annotated[int, typer.Option(help="Hidden layers.")]
-Resolution = Annotated[int, typer.Option(help="Marching-cubes cells along the longest side.")]
-Times = Annotated[str | None, typer.Option(help="0,0.5,1 or first:last:number.")]
-Relative = Annotated[
-    bool, typer.Option("--relative", help="Rates, lengths and positions in units of half the box of the shape.")
-]
 
 
 @app.command()
@@ -167,7 +165,7 @@ def smooth(
     shape: ShapeArgument,
     output: Folder = None,
     rate: Annotated[
-        float | None, typer.Option(help="Rate of mean curvature motion, length^2 per time [default: by the size].")
+        float | None, typer.Option(help="Rate of mean curvature motion, length^2 per time; by default by the size.")
     ] = None,
     keep_edges: Annotated[
         str | None,
@@ -178,6 +176,14 @@ def smooth(
     ] = None,
     times: Times = "0:1:5",
     relative: Relative = False,
+    keep_volume: Annotated[
+        bool, typer.Option("--keep-volume", help="Take the mean speed away, so that the volume stays what it is.")
+    ] = False,
+    mask: MaskFile = None,
+    mask_by: MaskBy = None,
+    fix: Fix = None,
+    only: Only = None,
+    soft: Soft = None,
     resolution: Resolution = 128,
     steps: Steps = None,
     seconds: Seconds = None,
@@ -188,19 +194,22 @@ def smooth(
     width: Width = 128,
     depth: Depth = 3,
 ) -> None:
-    """Smooth a shape by motion along its mean curvature; negative times sharpen it."""
-    from levelflow.equations import FeaturePreserving, LevelSetEquation, MeanCurvature
+    """Smooth a shape by motion along its mean curvature; negative times sharpen it.
+
+    With a mask, at a rate of its own in every place: what stands still is a boundary for the rest.
+    """
+    from levelflow.equations import FeaturePreserving, LevelSetEquation, MeanCurvature, VolumePreserving
 
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
     key = key_named(shape)
     unit = half_box(box_of(key))
+    speed = 1e-3 * unit**2 if rate is None else rate * unit**2 if relative else rate
     sharpest = None if keep_edges is None else edge_radius(keep_edges, unit=unit, relative=relative)
-    if rate is None:
-        rate, relative = 1e-3, True
-    rate = rate * unit**2 if relative else rate
-    equation: LevelSetEquation = MeanCurvature(rate) if sharpest is None else FeaturePreserving(rate, 1 / sharpest)
-    folder = output or folder_for([shape], "smooth")
-    evolve(run, "smooth", [shape], {0.0: key}, equation, times_in(times), folder, resolution=resolution)
+    motion: LevelSetEquation = MeanCurvature(speed) if sharpest is None else FeaturePreserving(speed, 1 / sharpest)
+    motion = masked(motion, mask_of(key, mask, mask_by, fix, only, soft, relative=relative))
+    motion = VolumePreserving(motion) if keep_volume else motion
+    folder, inputs = output or folder_for([shape], "smooth"), [shape, *([str(mask)] if mask else [])]
+    evolve(run, "smooth", inputs, {0.0: key}, motion, times_in(times), folder, resolution=resolution)
 
 
 @app.command()
@@ -216,13 +225,18 @@ def advect(
         typer.Option(help="Radians per time (rotation), per time and length (twist), or strength (source, sink)."),
     ] = None,
     axis: Annotated[str, typer.Option(help="Direction of a rotation or twist, x,y,z.")] = "0,1,0",
-    center: Annotated[str | None, typer.Option(help="A point x,y,z [default: the centre of the box].")] = None,
+    center: Annotated[str | None, typer.Option(help="A point x,y,z; by default the centre of the box.")] = None,
     reach: Annotated[float | None, typer.Option(help="Width of a source or sink, a length.")] = None,
     distil: Annotated[
         bool, typer.Option("--distil", help="Train one network in space and time: less exact, with nothing to carry.")
     ] = False,
     times: Times = "0:1:5",
     relative: Relative = False,
+    mask: MaskFile = None,
+    mask_by: MaskBy = None,
+    fix: Fix = None,
+    only: Only = None,
+    soft: Soft = None,
     resolution: Resolution = 128,
     steps: Steps = None,
     seconds: Seconds = None,
@@ -233,27 +247,27 @@ def advect(
     width: Width = 128,
     depth: Depth = 3,
 ) -> None:
-    """Carry a shape along a velocity field: the field fitted to it, on characteristics."""
+    """Carry a shape along a velocity field: the field fitted to it, on characteristics.
+
+    With a mask, along the velocity times the mask.
+    """
     from levelflow.equations import SumOfVelocities, Transport
 
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
     key = key_named(shape)
     box = box_of(key)
     unit = half_box(box)
-    middle = box.center if center is None else numbers_in(center, "--center")
-    if len(middle) != box.space:
-        raise ValueError(f"--center {center}: the shape has {box.space} coordinates; give as many numbers.")
-    if center is not None and relative:
-        middle = tuple(c + unit * v for c, v in zip(box.center, middle, strict=True))
+    middle = center_in(center, box, unit if relative else None)
     length = unit if relative else 1.0
     velocities = [
         velocity_named(name.strip(), by=by, rate=rate, axis=numbers_in(axis, "--axis"), center=middle, reach=reach,
                   length=length, unit=unit)
         for name in velocity.split("+")
     ]  # fmt: skip
-    equation = Transport(velocities[0] if len(velocities) == 1 else SumOfVelocities(tuple(velocities)))
-    folder = output or folder_for([shape], "advect")
-    evolve(run, "advect", [shape], {0.0: key}, equation, times_in(times), folder, resolution=resolution, distil=distil)
+    motion = Transport(velocities[0] if len(velocities) == 1 else SumOfVelocities(tuple(velocities)))
+    equation = masked(motion, mask_of(key, mask, mask_by, fix, only, soft, relative=relative))
+    folder, inputs = output or folder_for([shape], "advect"), [shape, *([str(mask)] if mask else [])]
+    evolve(run, "advect", inputs, {0.0: key}, equation, times_in(times), folder, resolution=resolution, distil=distil)
 
 
 @app.command()
@@ -263,7 +277,11 @@ def morph(
     loop: Annotated[
         bool, typer.Option("--loop", help="Back to the first shape at the end, in a motion without a seam.")
     ] = False,
+    simplex: Annotated[
+        bool, typer.Option("--simplex", help="Mix all shapes: three over a triangle, four over a tetrahedron, ...")
+    ] = False,
     times: Times = None,
+    grid: Annotated[int, typer.Option(help="Steps along each side of the triangle that is shown, with --simplex.")] = 4,
     resolution: Resolution = 128,
     steps: Steps = None,
     seconds: Seconds = None,
@@ -274,16 +292,26 @@ def morph(
     width: Width = 128,
     depth: Depth = 3,
 ) -> None:
-    """Morph shapes into each other; they stand at equal steps of time from 0 to 1."""
+    """Morph shapes into each other; they stand at equal steps of time from 0 to 1.
+
+    With --simplex there is a surface for every mixture of them. Its parameters are the shares of B, C, ..., as in
+    --time 0.3,0.5 of other commands; the rest is the share of A.
+    """
     from levelflow.equations import Morph
 
     if len(shapes) < 2:
         raise ValueError(f"morph {shapes[0]}: one shape is given; name at least two.")
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
     solids = [solid_named(shape) for shape in shapes]
+    warn_of_distance(shapes, [box_of(solid) for solid in solids])
+    folder = output or folder_for(shapes, "morph")
+    if simplex:
+        if times is not None or loop:
+            raise ValueError("morph --simplex: a mixture has shares and no time; leave --times and --loop out.")
+        mix(run, shapes, solids, folder, grid=grid, resolution=resolution)
+        return
     gaps = len(shapes) if loop else len(shapes) - 1
     at: dict[float, Key] = {i / gaps: solid for i, solid in enumerate(solids)}
-    warn_of_distance(shapes, [box_of(key) for key in at.values()])
     targets = {t: solid for t, solid in zip(at, solids, strict=True) if t > 0}
     equation = Morph(targets | {1.0: solids[0]} if loop else targets)
     asked = times_in(times or f"0:1:{4 * gaps + 1}")
@@ -291,7 +319,6 @@ def morph(
         raise ValueError(
             f"morph --times {times}: the shapes stand between the times 0 and 1; ask for times in between."
         )
-    folder = output or folder_for(shapes, "morph")
     evolve(run, "morph", shapes, at, equation, asked, folder, resolution=resolution, loop=loop)
 
 
@@ -299,7 +326,9 @@ def morph(
 def mesh(
     field: Annotated[Path, typer.Argument(metavar="FIELD", help="A field (.safetensors).")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The mesh to write: .ply, .obj, .off or .stl.")],
-    at: Annotated[float | None, typer.Option("--time", help="When; needed for a field that moves.")] = None,
+    time: Annotated[
+        str | None, typer.Option("--time", help="When, for a field that moves: 0.5, or 0.5,0.2 for two parameters.")
+    ] = None,
     resolution: Resolution = 128,
     refine: Annotated[int, typer.Option(help="Steps that move each vertex onto the surface itself.")] = 0,
 ) -> None:
@@ -308,12 +337,8 @@ def mesh(
     from levelflow.saving import load
 
     loaded = load(field)
-    if loaded.times and at is None:
-        (first, last) = loaded.box.times[0]
-        raise ValueError(f"mesh {field}: the field moves from t = {first:g} to {last:g}; say when with --time.")
-    if at is not None and not loaded.times:
-        raise ValueError(f"mesh {field} --time {at:g}: the field does not depend on time; leave --time out.")
-    surface = extract(loaded if at is None else loaded.at(at), resolution=resolution, refine=refine)
+    place = place_in(time, loaded, f"mesh {field}")
+    surface = extract(loaded.at(*place) if place else loaded, resolution=resolution, refine=refine)
     surface.write(output)
     typer.echo(f"{output}: {len(surface.vertices):,} vertices, {len(surface.faces):,} faces")
 
@@ -403,6 +428,7 @@ def info(
 app.command()(edit)
 app.command("evolve")(follow)
 app.command()(export)
+app.command()(family)
 app.command()(film)
 app.command()(lift)
 app.command()(render)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -46,7 +47,8 @@ def lift(
     lifted = lift_network(network, time=0 if times is None else 1, width=width, depth=depth, slope=slope)
     deeper = lifted.depth > network.depth
     done = {"verb": "lift", "input": str(field), "width": lifted.width, "depth": lifted.depth, "times": box.times}
-    found = _changed(Placed(lifted, box), loaded, done | ({"slope": slope} if deeper else {}))
+    holds = loaded.provenance.get("equation") if times is None else "Stationary()"
+    found = _changed(Placed(lifted, box), loaded, done | ({"slope": slope} if deeper else {}), holds)
     output.parent.mkdir(parents=True, exist_ok=True)
     save(found, output)
     typer.echo(f"{output}: {_size(network)} -> {_size(lifted)}{_moving(found)}")
@@ -75,7 +77,8 @@ def slice_field(
             f"slice {field} --time {time}: the field has {network.times} time(s) or parameter(s); give a number for "
             f"each, or a colon for one that stays: --time {example}."
         )
-    found = _changed(loaded.at(*values), loaded, {"verb": "slice", "input": str(field), "time": values})
+    done = {"verb": "slice", "input": str(field), "time": values}
+    found = _changed(loaded.at(*values), loaded, done, _holding(loaded, values))
     output.parent.mkdir(parents=True, exist_ok=True)
     save(found, output)
     typer.echo(f"{output}: {field.name} at {time}{_moving(found)}")
@@ -105,10 +108,34 @@ def _loaded(call: str, path: Path, output: Path) -> tuple[Placed, SIREN]:
     return field, field.field
 
 
-def _changed(field: Placed, source: Placed, done: dict[str, Any]) -> Placed:
-    """A field with the provenance of its source, and what was done since."""
+def _changed(field: Placed, source: Placed, done: dict[str, Any], holds: str | None) -> Placed:
+    """A field with the provenance of its source, what was done since, and the equation that it satisfies, if any.
+
+    An equation that held for the source only is kept with what was done.
+    """
+    before = source.provenance.get("equation")
+    if before is not None and before != holds:
+        done = {**done, "equation": before}
     field.provenance = {**source.provenance, "changes": [*source.provenance.get("changes", ()), done]}
+    field.provenance.pop("equation", None)
+    if holds is not None:
+        field.provenance["equation"] = holds
     return field
+
+
+def _holding(field: Placed, values: Sequence[float | None]) -> str | None:
+    """The equation that a field satisfies in the parameters that stay: of a family the motions of these."""
+    from levelflow.equations import Family
+    from levelflow.equations.described import equation_of
+
+    known = equation_of(field.provenance)
+    if isinstance(known, Family):
+        motions = [motion for motion, value in zip(known.motions, values, strict=True) if value is None]
+        return repr(motions[0] if len(motions) == 1 else Family(*motions)) if motions else None
+    # What moves with one parameter moves with the first.
+    alone = len(values) == 1 or (known is not None and known.drives(len(values)) == {0})
+    holds = alone and values[0] is None
+    return field.provenance.get("equation") if holds else None
 
 
 def _interval_in(text: str) -> tuple[float, float]:

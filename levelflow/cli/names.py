@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from levelflow.boxes import Box
     from levelflow.conditions import Key
     from levelflow.equations import VelocityField
-    from levelflow.fields import Field
+    from levelflow.fields import Field, Walk
     from levelflow.shapes import Shape, Solid
 
 _BUILTINS: dict[str, Callable[[Any], Solid]] = {
@@ -93,18 +93,19 @@ def velocity_named(
     reach: float | None,
     length: float,
     unit: float,
+    option: str = "--",
 ) -> VelocityField:
     """A velocity field by its name; `length` is the unit of lengths that were given, `unit` that of defaults.
 
-    The number of coordinates is that of `center`.
+    The number of coordinates is that of `center`; messages put `option` before the names of what was given.
     """
     from levelflow.equations import Constant, Rotation, Source, Twist
 
     if name == "translation":
         rest = (0.0,) * (len(center) - 1)
-        moved = (0.5 * unit, *rest) if by is None else tuple(length * v for v in numbers_in(by, "--by"))
+        moved = (0.5 * unit, *rest) if by is None else tuple(length * v for v in numbers_in(by, f"{option}by"))
         if len(moved) != len(center):
-            raise ValueError(f"--by {by}: the shape has {len(center)} coordinates; give as many numbers.")
+            raise ValueError(f"{option}by {by}: the shape has {len(center)} coordinates; give as many numbers.")
         return Constant(moved)
     if name == "rotation":
         return Rotation(math.pi / 2 if rate is None else rate, axis, center)
@@ -114,6 +115,16 @@ def velocity_named(
         strength = (1.0 if rate is None else rate) * (1 if name == "source" else -1)
         return Source(center, strength, 0.18**0.5 * unit if reach is None else reach * length)
     raise ValueError(f"--velocity {name}: known are translation, rotation, twist, source and sink.")
+
+
+def center_in(text: str | None, box: Box, length: float | None, option: str = "--") -> tuple[float, ...]:
+    """A point, by default the middle of a box; with a length, in units of it from there."""
+    if text is None:
+        return box.center
+    point = numbers_in(text, f"{option}center")
+    if len(point) != box.space:
+        raise ValueError(f"{option}center {text}: the shape has {box.space} coordinates; give as many numbers.")
+    return point if length is None else tuple(c + length * v for c, v in zip(box.center, point, strict=True))
 
 
 def device_named(name: str) -> torch.device:
@@ -145,12 +156,98 @@ def times_in(text: str | None) -> list[float]:
     return sorted({float(f"{v:.12g}") + 0.0 for v in values})
 
 
+def place_in(text: str | None, field: Field, call: str) -> tuple[float, ...]:
+    """The time or parameters of `--time 0.5,0.2`, a number for each; none for a field that stands still.
+
+    Raises:
+        ValueError: If there are more or fewer.
+    """
+    if not field.times:
+        if text is not None:
+            raise ValueError(f"{call} --time {text}: the field does not depend on time; leave --time out.")
+        return ()
+    if text is None:
+        what = "say when" if field.times == 1 else "give one number for each"
+        raise ValueError(f"{call}: {motion_in_words(field)}; {what} with --time {_example(field)}.")
+    values = numbers_in(text, "--time")
+    if len(values) != field.times:
+        raise ValueError(
+            f"{call} --time {text}: {motion_in_words(field)}, and {len(values)} number(s) are given; one for each is "
+            f"needed, such as --time {_example(field)}."
+        )
+    _check_shares(field, values, f"{call} --time {text}")
+    return values
+
+
+def walk_in(text: str, field: Field, call: str) -> Walk:
+    """The walk through the parameters of a field of `--path 0,0:1,0:1,1`, corner after corner.
+
+    Raises:
+        ValueError: If a corner has not one number for each, lies outside their intervals, or there is only one.
+    """
+    from levelflow.fields import Walk
+
+    if not field.times:
+        raise ValueError(f"{call} --path {text}: the field does not depend on time; leave --path out.")
+    corners = [numbers_in(part, "--path") for part in text.split(":")]
+    if len(corners) < 2 or any(len(corner) != field.times for corner in corners):
+        raise ValueError(
+            f"{call} --path {text}: {motion_in_words(field)}; give two corners or more with one number for each, such "
+            f"as --path {walk_example(field)}."
+        )
+    for corner in corners:
+        _check_shares(field, corner, f"{call} --path {text}")
+    return Walk(field, corners)
+
+
+def walk_example(field: Field) -> str:
+    """A walk through the parameters of a field, one after the other, as it is written."""
+    ends = field.box.times if field.box is not None else ((0.0, 1.0),) * field.times
+    mixed = bool(_shares(field))
+    corners = [
+        [last if (i == j - 1 if mixed else i < j) else first for i, (first, last) in enumerate(ends)]
+        for j in range(len(ends) + 1)
+    ]
+    return ":".join(",".join(f"{value:g}" for value in corner) for corner in corners)
+
+
+def motion_in_words(field: Field) -> str:
+    """`the field moves from t = 0 to 1`, or `the field has 2 parameters, from 0 to 1 and from -1 to 1`."""
+    ends = [f"{first:g} to {last:g}" for first, last in field.box.times] if field.box is not None else []
+    if field.times == 1:
+        return f"the field moves from t = {', '.join(ends)}"
+    return f"the field has {field.times} parameters, from {' and from '.join(ends)}"
+
+
+def _shares(field: Field) -> tuple[str, ...]:
+    """The shapes of which a field holds the mixtures (`levelflow morph --simplex`); its parameters are their shares."""
+    names = tuple(getattr(field, "provenance", {}).get("shares", ()))
+    return names if len(names) == field.times + 1 else ()
+
+
+def _check_shares(field: Field, values: Sequence[float], call: str) -> None:
+    """Refuses shares that are more than all."""
+    names = _shares(field)
+    if names and sum(values) > 1 + 1e-9:
+        raise ValueError(
+            f"{call}: these are the shares of {', '.join(names[1:])}, and their sum is {sum(values):g}; give at most 1 "
+            f"together, the rest is the share of {names[0]}."
+        )
+
+
+def _example(field: Field) -> str:
+    """The middle of the interval of each parameter, or the same share of each shape."""
+    ends = field.box.times if field.box is not None else ((0.0, 1.0),) * field.times
+    part = 1 / (len(_shares(field)) or 2)
+    return ",".join(f"{first + part * (last - first):.3g}" for first, last in ends)
+
+
 def numbers_in(text: str, option: str) -> tuple[float, ...]:
     """`0,1,0`."""
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise ValueError(f"{option} {text}: give numbers with commas between them, 0,1,0.") from None
+        raise ValueError(f"{option} {text}: give numbers with commas between them, such as 0,1,0.") from None
 
 
 def edge_radius(text: str, *, unit: float, relative: bool) -> float:

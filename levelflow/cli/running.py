@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,10 +19,10 @@ from levelflow.cli.names import box_of, device_named, fingerprint
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from levelflow.boxes import Box
+    from levelflow.boxes import Box, Until
     from levelflow.conditions import Key
     from levelflow.equations import Equation
-    from levelflow.export.frames import Frame
+    from levelflow.export.frames import Frame, Place
     from levelflow.fields import Placed
     from levelflow.minimising import Budget, Progress
     from levelflow.networks.periodic import Periodic
@@ -94,25 +94,46 @@ def evolve(
     run: Run,
     verb: str,
     inputs: Sequence[str],
-    at: dict[float, Key],
+    at: Mapping[Any, Key],
     equation: Equation,
-    times: Sequence[float],
+    times: Sequence[Place],
     folder: Path,
     *,
     resolution: int,
+    until: Until = None,
     title: str | None = None,
+    columns: int | Sequence[int] | None = None,
     distil: bool = True,
     loop: bool = False,
+    notes: Mapping[str, Any] | None = None,
 ) -> list[Frame]:
     """Solves, and writes the field, the meshes, the contact sheet and the report.
 
-    Without `distil` the first shape is fitted and carried along the characteristics of the equation. With `loop` the
-    times 0 and 1 are the same instant.
+    Without `distil` the first shape is fitted and carried along the characteristics of the equation.
+
+    Args:
+        run: The options of training.
+        verb: The command.
+        inputs: The arguments that name the shapes.
+        at: The shapes by their times, or by tuples of parameters.
+        equation: The motion.
+        times: When to show the surface, or at which parameters.
+        folder: Where everything is written.
+        resolution: Marching-cubes cells.
+        until: Where the intervals of several parameters end; that of a single time spans the times.
+        title: A line above the contact sheet.
+        columns: Pictures in a row of it, or in each of its rows.
+        distil: Whether to train one network of space and all parameters.
+        loop: Whether the times 0 and 1 are the same instant.
+        notes: What the file of the field says besides.
     """
     import torch
 
+    from levelflow.averaging import with_means
     from levelflow.conditions import surface_of
+    from levelflow.equations import VolumePreserving
     from levelflow.export.frames import write_frames
+    from levelflow.fields import Placed
     from levelflow.measures import residual_table
     from levelflow.saving import Checkpoint, save
     from levelflow.shapes.writing import replace_file
@@ -120,34 +141,41 @@ def evolve(
 
     if resolution < 2:
         raise ValueError(f"--resolution {resolution}: give at least 2 cells.")
-    if len({*times, *at}) < 2:
-        raise ValueError(f"--times: the shape is given at t = {times[0]:g}; ask for other times as well.")
+    moments = [t for t in (*times, *at) if isinstance(t, int | float)]
+    if moments:
+        if len({*moments}) < 2:
+            raise ValueError(f"--times: the shape is given at t = {moments[0]:g}; ask for other times as well.")
+        until = (min(moments), max(moments))
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"-o {folder}: this is a file; name a folder for the results.")
     folder.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
-    space = box_of(next(iter(at.values()))).space
-    settings = run.settings(
-        verb, inputs, equation=repr(equation), times=[min(times), max(times)], distil=distil, loop=loop
-    )
+    space, k = box_of(next(iter(at.values()))).space, 1 if moments else len(next(iter(at)))
+    settings = run.settings(verb, inputs, equation=repr(equation), times=until, distil=distil, loop=loop)
     kept = Checkpoint(folder / CHECKPOINT, settings=settings, seconds=CHECKPOINT_SECONDS)
     with training(run, f"{verb} {' '.join(inputs)}", kept) as (on_step, state):
         field: Placed | Transported
         if distil:
-            network, until = (run.loop(space), (0.0, 1.0)) if loop else (run.network(space, 1), times)
             field = solve(
-                equation, network, at=at, until=until, budget=run.budget(), seed=run.seed, on_step=on_step, state=state
-            )
+                equation, run.loop(space) if loop else run.network(space, k), at=at,
+                until=(0.0, 1.0) if loop else until, budget=run.budget(), seed=run.seed, on_step=on_step, state=state,
+            )  # fmt: skip
         else:
-            field = _carried(run, at, equation, times, on_step, state)
+            field = _carried(run, at, equation, until, on_step, state)
     trained = time.perf_counter()
-    field.provenance["inputs"] = list(inputs)
+    field.provenance |= {"inputs": list(inputs), **(notes or {})}
     save(field, folder / "field.safetensors")
     frames = write_frames(
-        field, times, folder, resolution=resolution, title=title,
-        on_frame=lambda frame: run.say(f"  {frame.file or f't = {frame.time:g}: the surface has vanished'}"),
+        field, times, folder, resolution=resolution, title=title, columns=columns,
+        on_frame=lambda frame: run.say(f"  {frame.file or f'{when(frame.time)}: the surface has vanished'}"),
     )  # fmt: skip
     t0, key = next(iter(at.items()))
+    if isinstance(equation, VolumePreserving):
+        assert isinstance(field, Placed)
+        generator = torch.Generator().manual_seed(run.seed)
+        equation = with_means(
+            equation, field, origin=t0 if isinstance(t0, float) else float(t0[0] or 0.0), generator=generator
+        )
     table = residual_table(field, equation, surface_of(key), time=t0, generator=torch.Generator().manual_seed(run.seed))
     report = {
         "levelflow": __version__,
@@ -172,11 +200,16 @@ def evolve(
     return frames
 
 
+def when(place: Place) -> str:
+    """`t = 0.5`, or `t = 0.5, 0.2` for several parameters."""
+    return f"t = {', '.join(f'{value:g}' for value in (place if isinstance(place, tuple) else (place,)))}"
+
+
 def _carried(
     run: Run,
-    at: dict[float, Key],
+    at: Mapping[Any, Key],
     equation: Equation,
-    times: Sequence[float],
+    until: Until,
     on_step: Callable[[Progress], None],
     state: dict[str, Tensor] | None,
 ) -> Transported:
@@ -187,17 +220,18 @@ def _carried(
     from levelflow.measures import accuracy
     from levelflow.transported import Transported
 
-    ((time, key),) = at.items()
+    ((place, key),) = at.items()
     static = key if isinstance(key, Field) else None
     if static is None:
         surface = surface_of(key)
         static = fit(
             run.network(surface.box.space), surface, budget=run.budget(), seed=run.seed, on_step=on_step, state=state
         )
-    field = Transported(equation, static, until=times, time=time)
+    field = Transported(equation, static, until=until, time=place)
     made = static.provenance if isinstance(static, Placed) else {}
     field.provenance = {**made, "verb": "transport", "equation": repr(equation), "steps": made.get("steps", 0)}
-    field.provenance["accuracy"] = {f"{time:.15g}": accuracy(field.at(time), surface_of(key), seed=run.seed)}
+    name = ",".join(f"{t:.15g}" for t in (place if isinstance(place, tuple) else (place,)))
+    field.provenance["accuracy"] = {name: accuracy(static, surface_of(key), seed=run.seed)}
     return field
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from levelflow.cli.names import key_named, numbers_in, times_in
+from levelflow.cli.names import key_named, motion_in_words, numbers_in, place_in, times_in, walk_example, walk_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,7 +26,9 @@ _PLAIN = ("clay", "normal")
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
 Surface = Annotated[str, typer.Argument(metavar="FIELD|MESH", help="A field (.safetensors), a mesh, or a built-in.")]
-Time = Annotated[float | None, typer.Option("--time", help="When, for a field that moves.")]
+Time = Annotated[
+    str | None, typer.Option("--time", help="When, for a field that moves: 0.5, or 0.5,0.2 for two parameters.")
+]
 Size = Annotated[str, typer.Option(help="Pixels, 512, or width x height, 1280x720.")]
 ColourBy = Annotated[
     str, typer.Option("--colour", "--color", help="clay, normal, curvature (k1 + k2), residual (error of the speed).")
@@ -68,14 +70,12 @@ def render(
     _require_colour("render", colour)
     shape, where = _size_in(size), {"azimuth": azimuth, "elevation": _elevation(elevation), "up": _up_named(up)}
     shown = _surface_named("render", surface)
-    if isinstance(shown, Field) and shown.times and time is None:
-        first, last = shown.box.times[0]  # type: ignore[union-attr]
-        raise ValueError(f"render {surface}: the field moves from t = {first:g} to {last:g}; say when with --time.")
-    now = _at("render", surface, shown, time)
+    place = _place("render", surface, shown, time)
+    now = _at(shown, place)
     if by == "trace" and not isinstance(now, Field):
         raise ValueError(f"render {surface} --by trace: this is a mesh; fit a field first, or leave --by out.")
     drawn = _mesh_of(now, resolution) if isinstance(now, Field) and (by == "mesh" or now.space == 2) else now
-    values = _values("render", surface, colour, shown, time)
+    values = _values("render", surface, colour, shown, place)
     camera = (
         framed(drawn, **where) if isinstance(drawn, Field) else Camera.around(drawn.vertices, **where)  # type: ignore[arg-type]
     )
@@ -92,7 +92,13 @@ def film(
         str | None, typer.Option(help="first:last:number, 0:1:60, or 0,0.5,1; all of the field by default.")
     ] = None,
     time: Annotated[
-        float | None, typer.Option("--time", help="A single time, to turn around what stands still.")
+        str | None,
+        typer.Option(
+            "--time", help="A single time, or one number for each parameter, to turn around what stands still."
+        ),
+    ] = None,
+    path: Annotated[
+        str | None, typer.Option("--path", help="0,0:1,0:1,1, corners of a walk through the parameters of a field.")
     ] = None,
     turntable: Annotated[
         float, typer.Option(help="Degrees that the camera goes around in the course of the film.")
@@ -117,21 +123,29 @@ def film(
     _require_colour("film", colour)
     shape, vertical = _size_in(size), _up_named(up)
     whole = _surface_named("film", surface)
-    shown = _at("film", surface, whole, time)
+    if path is not None and (times is not None or time is not None):
+        raise ValueError(f"film {surface} --path {path}: the walk says when; leave --times and --time out.")
+    if path is not None and not isinstance(whole, Field):
+        raise ValueError(f"film {surface} --path {path}: a shape has no parameters; leave --path out.")
+    still = path is None and (time is not None or not isinstance(whole, Field) or not whole.times)
     asked: list[float] = []
+    shown: Field | Mesh
     values: Quantity | np.ndarray | Callable[[float], Quantity] | None
-    if isinstance(shown, Field) and shown.times:
-        first, last = shown.box.times[0]  # type: ignore[union-attr]
-        values = None if colour in _PLAIN else partial(_quantity, "film", surface, colour, shown)
-        # The last frame of a loop is the one before its first.
-        end = last - (last - first) / max(frames, 1) if shown.loops else last
-        asked = times_in(times or f"{first!r}:{end!r}:{frames}")
-    elif times is not None:
-        raise ValueError(f"film {surface} --times {times}: the surface stands still; leave --times out, or --time.")
-    elif not turntable:
-        raise ValueError(f"film {surface}: the surface stands still; turn it around with --turntable 360.")
+    if still:
+        if times is not None:
+            raise ValueError(f"film {surface} --times {times}: the surface stands still; leave --times out, or --time.")
+        place = _place("film", surface, whole, time)
+        if not turntable:
+            raise ValueError(f"film {surface}: the surface stands still; turn it around with --turntable 360.")
+        shown, values = _at(whole, place), _values("film", surface, colour, whole, place)
     else:
-        values = _values("film", surface, colour, whole, time)
+        assert isinstance(whole, Field)
+        shown = moving = _moving("film", surface, whole, path)
+        first, last = moving.box.times[0]  # type: ignore[union-attr]
+        values = None if colour in _PLAIN else partial(_quantity_at, "film", surface, colour, moving)
+        # The last frame of a loop is the one before its first.
+        end = last - (last - first) / max(frames, 1) if moving.loops else last
+        asked = times_in(times or f"{first!r}:{end!r}:{frames}")
     count = make_film(
         shown, output, times=asked, turn=turntable, frames=frames, azimuth=azimuth, elevation=_elevation(elevation),
         up=vertical, size=shape, material=Normals() if colour == "normal" else Clay(), values=values, rate=fps,
@@ -164,20 +178,39 @@ def _surface_named(call: str, text: str) -> Field | Mesh:
     )
 
 
-def _at(call: str, text: str, shown: Field | Mesh, time: float | None) -> Field | Mesh:
-    """The surface at a time, if one is given."""
+def _place(call: str, text: str, shown: Field | Mesh, time: str | None) -> tuple[float, ...]:
+    """The time or parameters at which a surface is shown; none for one that stands still."""
     from levelflow.fields import Field
 
-    if time is None:
-        return shown
-    if not isinstance(shown, Field):
-        raise ValueError(f"{call} {text} --time {time:g}: a shape has no time; leave --time out.")
-    if not shown.times:
-        raise ValueError(f"{call} {text} --time {time:g}: the field does not depend on time; leave --time out.")
-    return shown.at(time)
+    if isinstance(shown, Field):
+        return place_in(time, shown, f"{call} {text}")
+    if time is not None:
+        raise ValueError(f"{call} {text} --time {time}: a shape has no time; leave --time out.")
+    return ()
 
 
-def _values(call: str, text: str, colour: str, shown: Field | Mesh, time: float | None) -> Quantity | np.ndarray | None:
+def _at(shown: Field | Mesh, place: tuple[float, ...]) -> Field | Mesh:
+    """The surface at a time."""
+    from levelflow.fields import Field
+
+    return shown.at(*place) if isinstance(shown, Field) and place else shown
+
+
+def _moving(call: str, text: str, field: Field, path: str | None) -> Field:
+    """The field of one time that a film shows: itself, or a walk through its parameters."""
+    if path is not None:
+        return walk_in(path, field, f"{call} {text}")
+    if field.times > 1:
+        raise ValueError(
+            f"{call} {text}: {motion_in_words(field)}; say how to walk through them, corner after corner, such as "
+            f"--path {walk_example(field)}, or where to stop, with --time and --turntable."
+        )
+    return field
+
+
+def _values(
+    call: str, text: str, colour: str, shown: Field | Mesh, place: tuple[float, ...]
+) -> Quantity | np.ndarray | None:
     """The numbers that colours stand for, at a time if the surface moves; none if there are none."""
     from levelflow.fields import Field
     from levelflow.rendering.quantities import mesh_curvature
@@ -185,25 +218,25 @@ def _values(call: str, text: str, colour: str, shown: Field | Mesh, time: float 
     if colour in _PLAIN:
         return None
     if isinstance(shown, Field):
-        return _quantity(call, text, colour, shown, time)
+        return _quantity(call, text, colour, shown, place)
     if colour == "residual":
         raise ValueError(f"{call} {text} --colour residual: a mesh solves no equation; give a field that moves.")
     return mesh_curvature(shown)
 
 
-def _quantity(call: str, text: str, colour: str, field: Field, time: float | None) -> Quantity:
+def _quantity(call: str, text: str, colour: str, field: Field, place: tuple[float, ...]) -> Quantity:
     """What of a field is shown by colours."""
     from levelflow.equations.described import equation_of
     from levelflow.rendering.quantities import Curvature, Residual
     from levelflow.retimed import Retimed
 
     if colour == "curvature":
-        return Curvature(field if time is None else field.at(time))
-    if isinstance(field, Retimed) and time is not None:
-        return _quantity(call, text, colour, field.field, field.moment(time))
+        return Curvature(field.at(*place) if place else field)
+    if isinstance(field, Retimed) and place:
+        return _quantity(call, text, colour, field.field, (field.moment(place[0]),))
     provenance = getattr(field, "provenance", {})
     equation = equation_of(provenance)
-    if time is None:
+    if not place:
         raise ValueError(
             f"{call} {text} --colour residual: the field stands still and has no motion to be right about."
         )
@@ -213,7 +246,16 @@ def _quantity(call: str, text: str, colour: str, field: Field, time: float | Non
             f"{call} {text} --colour residual: the equation of this field, {known}, cannot be told from its file; "
             "it must consist of numbers, as mean curvature does. In Python: Residual(field, equation, (t,))."
         )
-    return Residual(field, equation, (time,))
+    return Residual(field, equation, place)
+
+
+def _quantity_at(call: str, text: str, colour: str, field: Field, time: float) -> Quantity:
+    """The same of a field that moves, or that is walked through, at a time."""
+    from levelflow.fields import Walk
+
+    if isinstance(field, Walk):
+        return _quantity(call, text, colour, field.field, field.place(time))
+    return _quantity(call, text, colour, field, (time,))
 
 
 def _mesh_of(field: Field, resolution: int) -> Mesh:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from levelflow.cli.names import times_in
+from levelflow.cli.names import motion_in_words, place_in, times_in, walk_example, walk_in
 
 if TYPE_CHECKING:
     from levelflow.export.painting import Paint
@@ -29,6 +29,13 @@ def export(
         typer.Option("--output", "-o", help="A file; its extension says the format. Or a folder."),
     ],
     times: Annotated[str | None, typer.Option(help="0,0.5,1 or first:last:number; for a field that moves.")] = None,
+    time: Annotated[
+        str | None, typer.Option("--time", help="A single time, or one number for each parameter: 0.5,0.2.")
+    ] = None,
+    walk: Annotated[
+        str | None, typer.Option("--path", help="0,0:1,0:1,1, corners of a walk through the parameters of a field.")
+    ] = None,
+    frames: Annotated[int, typer.Option(help="How many on the way, with --path.")] = 25,
     kind: Annotated[
         str | None, typer.Option("--format", help=f"For a folder: {', '.join([*_NUMBERED, *_WHOLE])}.")
     ] = None,
@@ -71,35 +78,55 @@ def export(
         raise ValueError(f"--colours-time {colours_time:g}: name the mesh with the colours: --colours MESH.")
     if track and formats[0] in ("npz", "mhd", "vdb"):
         raise ValueError(f"--track: a .{formats[0]} file holds a grid, no mesh to carry along; leave --track out.")
-    loaded = load(field)
-    if loaded.times and times is None:
-        first, last = loaded.box.times[0]
-        raise ValueError(f"export {field}: the field moves from t = {first:g} to {last:g}; say when with --times.")
-    if not loaded.times and (times is not None or track):
-        raise ValueError(f"export {field}: the field does not depend on time; leave --times and --track out.")
-    wanted = times_in(times) if times is not None else []
+    taken, wanted = _taken(f"export {field}", load(field), times, time, walk, frames)
+    if track and not taken.times:
+        raise ValueError(f"export {field} --track: nothing moves; leave --track out, or say when with --times.")
     if up.upper() not in Up.__members__:
         raise ValueError(f"--up {up}: give y or z.")
     scene = Scene(Up[up.upper()], 1.0 if metres_per_unit is None else metres_per_unit, fps)
     path.parent.mkdir(parents=True, exist_ok=True)
     if formats[0] in ("npz", "mhd"):
-        entries = _write_volumes(loaded, wanted, path, resolution=resolution, quiet=quiet)
+        entries = _write_volumes(taken, wanted, path, resolution=resolution, quiet=quiet)
     else:
-        frames = (tracked if track else snapshots)(loaded, wanted, resolution=resolution, refine=refine)
+        shown = (tracked if track else snapshots)(taken, wanted, resolution=resolution, refine=refine)
         if colours is not None:
-            frames = _painted(frames, Paint.read(colours), loaded, colours_time, track=track, formats=formats)
+            shown = _painted(shown, Paint.read(colours), taken, colours_time, track=track, formats=formats)
         if formats[0] == "vdb":
-            entries = _write_level_sets(loaded, frames, path, len(wanted), resolution=resolution, quiet=quiet)
+            entries = _write_level_sets(taken, shown, path, len(wanted), resolution=resolution, quiet=quiet)
         elif formats[0] in _NUMBERED:
             millimetres = 1.0 if metres_per_unit is None else 1000 * metres_per_unit
-            entries = _write_meshes(frames, path, formats, len(wanted), millimetres=millimetres, quiet=quiet)
+            entries = _write_meshes(shown, path, formats, len(wanted), millimetres=millimetres, quiet=quiet)
         else:
-            entries = _write_whole(frames, path, scene, track=track, quiet=quiet)
+            entries = _write_whole(shown, path, scene, track=track, quiet=quiet)
     if not quiet:
         there = sum(entry.file is not None for entry in entries)
         gone = f", {len(entries) - there} vanished" if there < len(entries) else ""
         name = path.parent if len(entries) > 1 and formats[0] in _NUMBERED else path
         typer.echo(f"{name}: {there} {'frame' if there == 1 else 'frames'}{gone}")
+
+
+def _taken(
+    call: str, field: Field, times: str | None, time: str | None, walk: str | None, frames: int
+) -> tuple[Field, list[float]]:
+    """The field of at most one time that is written, and the times."""
+    if sum(text is not None for text in (times, time, walk)) > 1:
+        raise ValueError(f"{call}: give one of --times, --time and --path; each says when.")
+    if walk is not None:
+        if frames < 2:
+            raise ValueError(f"{call} --frames {frames}: a walk has at least two frames.")
+        return walk_in(walk, field, call), times_in(f"0:1:{frames}")
+    if time is not None:
+        return field.at(*place_in(time, field, call)), []
+    if field.times > 1:
+        raise ValueError(
+            f"{call}: {motion_in_words(field)}; say how to walk through them, corner after corner, such as --path "
+            f"{walk_example(field)}, or give one number for each with --time."
+        )
+    if field.times and times is None:
+        raise ValueError(f"{call}: {motion_in_words(field)}; say when with --times.")
+    if not field.times and times is not None:
+        raise ValueError(f"{call}: the field does not depend on time; leave --times out.")
+    return field, times_in(times) if times is not None else []
 
 
 def _target(field: Path, output: Path, kind: str | None) -> tuple[Path, tuple[str, ...]]:

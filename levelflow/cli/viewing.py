@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from levelflow.cli.names import key_named, times_in
+from levelflow.cli.names import key_named, times_in, walk_in
 
 if TYPE_CHECKING:
     from levelflow.viewer.viewed import Viewed
@@ -28,15 +28,20 @@ def view(
         Path | None, typer.Option(help="Write the page with its frames to a file that needs no server instead.")
     ] = None,
     times: Annotated[str | None, typer.Option(help="With --html: 0,0.5,1 or first:last:number.")] = None,
+    path: Annotated[
+        str | None, typer.Option("--path", help="0,0:1,0:1,1, corners of a walk through the parameters of a field.")
+    ] = None,
 ) -> None:
-    """Look at fields and meshes in the browser: time on a slider, colours, cuts, distances.
+    """Look at fields and meshes in the browser: each time or parameter on a slider, colours, cuts, distances.
 
     The page is served on this machine only, and nothing on it comes from elsewhere. Ctrl-C ends it. Keys on the page:
     space plays, arrows step, R resets the camera, M measures.
     """
     if times is not None and html is None:
         raise ValueError(f"--times {times}: the page in the browser has a slider; name a file with --html as well.")
-    viewed = [_viewed(text) for text in fields]
+    viewed = [_viewed(text, path) for text in fields]
+    if path is not None and not any(one.box.times for one in viewed):
+        raise ValueError(f"view --path {path}: nothing of what is given moves; leave --path out.")
     if html is not None:
         _write(viewed, html, times, resolution=resolution if resolution is not None else 64)
     else:
@@ -44,8 +49,8 @@ def view(
         _serve(viewed, port, resolution=resolution, preview=min(preview, resolution), browse=browse)
 
 
-def _viewed(text: str) -> Viewed:
-    """The field or the mesh that an argument names."""
+def _viewed(text: str, walk: str | None) -> Viewed:
+    """The field or the mesh that an argument names; a field that moves may be walked through."""
     from levelflow.extraction import extract
     from levelflow.fields import Field
     from levelflow.saving import load
@@ -56,7 +61,7 @@ def _viewed(text: str) -> Viewed:
     key = load(path) if path.suffix.lower() == ".safetensors" else key_named(text)
     if isinstance(key, Field):
         name = path.parent.resolve().name if path.stem == "field" else path.name
-        return ViewedField(key, name=name)
+        return ViewedField(walk_in(walk, key, f"view {text}") if walk and key.times else key, name=name)
     if not isinstance(key, Solid):
         raise ValueError(f"view {text}: a point cloud has no surface; fit a field first: levelflow fit {text} -o ...")
     if not isinstance(key, Mesh):

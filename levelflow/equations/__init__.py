@@ -1,4 +1,4 @@
-"""Equations of motion, and the velocity fields for `Transport`."""
+"""Equations of motion, the velocity fields for `Transport`, and the masks for `Regional`."""
 
 from levelflow.equations.approach import Approach
 from levelflow.equations.curvature import MeanCurvature
@@ -7,6 +7,7 @@ from levelflow.equations.equation import Equation, LevelSetEquation
 from levelflow.equations.family import Family
 from levelflow.equations.features import FeaturePreserving
 from levelflow.equations.heat import Heat
+from levelflow.equations.masks import BoxMask, PaintedMask, ProductOfMasks, SphereMask
 from levelflow.equations.morph import Morph
 from levelflow.equations.regional import Regional
 from levelflow.equations.simplicial import SimplicialMorph
@@ -18,6 +19,7 @@ from levelflow.equations.willmore import Willmore
 
 __all__ = [
     "Approach",
+    "BoxMask",
     "Constant",
     "Eikonal",
     "Equation",
@@ -27,10 +29,13 @@ __all__ = [
     "LevelSetEquation",
     "MeanCurvature",
     "Morph",
+    "PaintedMask",
+    "ProductOfMasks",
     "Regional",
     "Rotation",
     "SimplicialMorph",
     "Source",
+    "SphereMask",
     "Stationary",
     "SumOfVelocities",
     "Transport",

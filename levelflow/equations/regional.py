@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from levelflow.boxes import Box
 from levelflow.equations.equation import LevelSetEquation
+from levelflow.equations.masks import Mask
+from levelflow.equations.transport import Transport
 from levelflow.jets import Jet
-
-Mask = Callable[[Tensor], Tensor]
-"""How much a motion counts at points (n, d): numbers (n,), 0 where nothing moves and 1 for the full speed."""
 
 
 class Regional(LevelSetEquation):
@@ -21,11 +18,12 @@ class Regional(LevelSetEquation):
 
     Where the mask is 0 the surface stands still: what is there is a boundary for the rest, and `solve` asks for the
     given shape there at every time. Mean curvature with a fixed region leads to soap films, since minimal surfaces are
-    where it comes to rest.
+    where it comes to rest. A motion by a velocity field remains one, by $m(x)\,V(x, t)$, and keeps its characteristics.
 
     Args:
         motion: The motion where the mask is 1.
-        mask: Numbers for points (n, d): a function, or a static field; smooth, for the sake of the network.
+        mask: Numbers for points (n, d): `BoxMask`, `SphereMask`, `PaintedMask`, a function, or a static field; smooth,
+            for the sake of the network.
 
     Raises:
         TypeError: If the motion is none along the normal, or the mask is not a function of points.
@@ -61,8 +59,21 @@ class Regional(LevelSetEquation):
     def held(self, x: Float[Tensor, "n d"]) -> Bool[Tensor, " n"]:
         return self._mask(x).to(x.device) == 0
 
+    def carry(
+        self, x: Float[Tensor, "n d"], start: Float[Tensor, " n"], end: Float[Tensor, " n"], *, steps: int = 32
+    ) -> Float[Tensor, "n d"] | None:
+        """The characteristics of the masked velocity field, by Runge and Kutta's method."""
+        if not isinstance(self.motion, Transport):
+            return None
+        velocity = self.motion.velocity
+        masked = Transport(lambda x, t: self._masked(x).to(x)[:, None] * velocity(x, t))
+        return masked.carry(x, start, end, steps=steps)
+
     @torch.no_grad()
     def _mask(self, x: Tensor) -> Tensor:
+        return self._masked(x)
+
+    def _masked(self, x: Tensor) -> Tensor:
         mask = self.mask(x)
         if mask.shape != x.shape[:1]:
             raise ValueError(

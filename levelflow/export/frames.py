@@ -1,4 +1,4 @@
-"""The surfaces of a field at some times, as meshes and a contact sheet."""
+"""The surfaces of a field at some times or parameters, as meshes and a contact sheet."""
 
 from __future__ import annotations
 
@@ -11,22 +11,25 @@ from levelflow.fields import Field
 from levelflow.rendering.images import contact_sheet
 from levelflow.shapes.mesh import Mesh
 
+Place = float | tuple[float, ...]
+"""A time, or a number for each of several parameters."""
+
 
 @dataclass(frozen=True)
 class Frame:
     """The surface at one time.
 
     Attributes:
-        time: When.
+        time: When, or at which parameters.
         mesh: The surface, in the units of the field; None when it has vanished.
         file: The name of its file, when it was written.
     """
 
-    time: float
+    time: Place
     mesh: Mesh | None
     file: str | None = None
 
-    def report(self) -> dict[str, float | int | str | None]:
+    def report(self) -> dict[str, Place | int | str | None]:
         """Plain values for a report."""
         if self.mesh is None:
             return {"time": self.time, "file": None, "vanished": True}
@@ -43,29 +46,32 @@ class Frame:
 
 def write_frames(
     field: Field,
-    times: Sequence[float],
+    times: Sequence[Place],
     folder: Path,
     *,
     resolution: int = 128,
     title: str | None = None,
+    columns: int | Sequence[int] | None = None,
     on_frame: Callable[[Frame], None] | None = None,
 ) -> list[Frame]:
     """Writes `t=+0.100.ply`, ... for each time, and `frames.png`, a contact sheet of them.
 
-    A time at which the surface has vanished has no file and an empty picture.
+    A time at which the surface has vanished has no file and an empty picture. The surface at several parameters is
+    `t=+0.100,+0.500.ply`.
 
     Args:
-        field: A field of space and one time.
-        times: The times, in the interval of the field.
+        field: A field of space and one time, or of several parameters.
+        times: The times, in the interval of the field, or tuples of parameters.
         folder: Where to; it must exist.
         resolution: Cells along the longest side of the box.
         title: A line above the contact sheet.
+        columns: Pictures in a row of it, or in each of its rows.
         on_frame: Called with each frame as soon as it is written.
     """
     frames = []
     for t in times:
         try:
-            mesh = extract(field.at(t), resolution=resolution)
+            mesh = extract(field.at(*_numbers(t)), resolution=resolution)
         except EmptyLevelSet:
             frame = Frame(t, None)
         else:
@@ -74,12 +80,18 @@ def write_frames(
         frames.append(frame)
         if on_frame is not None:
             on_frame(frame)
-    contact_sheet([frame.mesh for frame in frames], [f"t = {t:g}" for t in times], folder / "frames.png", title=title)
+    labels = [f"t = {t:g}" if isinstance(t, int | float) else ", ".join(f"{value:.3g}" for value in t) for t in times]
+    contact_sheet([frame.mesh for frame in frames], labels, folder / "frames.png", title=title, columns=columns)
     return frames
 
 
-def file_name(t: float) -> str:
+def file_name(t: Place) -> str:
     """`t=+0.100.ply`: the sign and at least three decimals, as many as the time needs to be told from others."""
-    t = t + 0.0  # no file is called -0.000
-    text = f"{t:+.3f}" if float(f"{t:.12g}") == round(t, 3) else f"{t:+.9g}"
-    return f"t={text}.ply"
+    # No file is called -0.000.
+    numbers = [value + 0.0 for value in _numbers(t)]
+    words = [f"{v:+.3f}" if float(f"{v:.12g}") == round(v, 3) else f"{v:+.9g}" for v in numbers]
+    return f"t={','.join(words)}.ply"
+
+
+def _numbers(t: Place) -> tuple[float, ...]:
+    return t if isinstance(t, tuple) else (t,)

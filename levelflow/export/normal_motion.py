@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float
 
 from levelflow.fields import Field
 from levelflow.retimed import Retimed
-from levelflow.transported import Transported
 
 _POINTS_AT_ONCE = 1 << 15
 _MOST_STEPS = 256
@@ -92,8 +91,9 @@ def carry(field: Field, x: Points, start: float, end: float, *, step: float) -> 
 
     Runge-Kutta steps of order 4, during which hardly a point moves further than `step`, each followed by Newton steps
     back to the zero set. Where the surface pinches, vanishes or tears, its points have nowhere to go: they did not
-    arrive. The end may lie before the start. Points of a `Transported` field move along its characteristics instead,
-    tangentially as well, and those of a `Retimed` one as those of the field inside between its two moments.
+    arrive. The end may lie before the start. Where the field knows how its points move, as one that is `Transported`
+    does, they move like that instead, tangentially as well, and those of a `Retimed` one as those of the field inside
+    between its two moments.
 
     Args:
         field: A field of space and one time.
@@ -106,11 +106,10 @@ def carry(field: Field, x: Points, start: float, end: float, *, step: float) -> 
         return carry(field.field, x, field.moment(start), field.moment(end), step=step)
     x, t = np.array(x, dtype=np.float64), start
     arrived = np.ones(len(x), dtype=bool)
-    if isinstance(field, Transported):
-        points = torch.from_numpy(x)
-        moments = (points.new_full((len(x),), moment) for moment in (start, end))
-        carried = field.motion.carry(points, *moments, steps=field.steps)
-        assert carried is not None
+    points = torch.from_numpy(x)
+    with torch.no_grad():
+        carried = field.carry(points, *(points.new_full((len(x), 1), moment) for moment in (start, end)))
+    if carried is not None:
         return Carried(carried.numpy(), arrived)
     least = abs(end - start) / _MOST_STEPS
     while t != end:

@@ -127,7 +127,7 @@ def contact_sheet(
     labels: Sequence[str],
     path: str | Path | None = None,
     *,
-    columns: int | None = None,
+    columns: int | Sequence[int] | None = None,
     size: int = 384,
     title: str | None = None,
     camera: Camera | None = None,
@@ -139,7 +139,8 @@ def contact_sheet(
         meshes: None stands for a surface that has vanished.
         labels: One for each.
         path: Where to write the sheet as a PNG, all of it or nothing; by default nowhere.
-        columns: Pictures in a row; by default all up to five, else about the square root of their number.
+        columns: Pictures in a row, or in each of the rows, which then stand in the middle of the sheet: (1, 2, 3) is a
+            triangle. By default all up to five, else about the square root of their number.
         size: Pixels of each picture.
         title: A line above.
         camera: By default one that frames all meshes.
@@ -149,7 +150,7 @@ def contact_sheet(
         sRGB values (h, w, 3).
 
     Raises:
-        ValueError: If there is nothing to show, or not one label for each mesh.
+        ValueError: If there is nothing to show, not one label for each mesh, or the rows hold not as many.
     """
     from PIL import Image, ImageDraw, ImageFont
 
@@ -160,14 +161,18 @@ def contact_sheet(
     if camera is None and points:
         camera = Camera.around(np.concatenate(points))
     columns = columns or (len(meshes) if len(meshes) <= 5 else math.ceil(math.sqrt(len(meshes) * 1.2)))
-    rows = math.ceil(len(meshes) / columns)
+    rows = [columns] * math.ceil(len(meshes) / columns) if isinstance(columns, int) else list(columns)
+    places = [(number, row, own) for row, own in enumerate(rows) for number in range(own)]
+    if not isinstance(columns, int) and len(places) != len(meshes):
+        raise ValueError(f"contact_sheet(columns={columns}): the rows hold {len(places)} of {len(meshes)} meshes.")
+    widest = max(rows)
     text = max(size // 20, 10)
     foot, head = 2 * text, round(2.6 * text) if title else 0
     ground = tuple(round(255 * c) for c in material.ground)
-    sheet = Image.new("RGB", (columns * size, head + rows * (size + foot)), ground)
+    sheet = Image.new("RGB", (widest * size, head + len(rows) * (size + foot)), ground)
     pen = ImageDraw.Draw(sheet)
-    for i, (mesh, label) in enumerate(zip(meshes, labels, strict=True)):
-        x, y = (i % columns) * size, head + (i // columns) * (size + foot)
+    for mesh, label, (number, row, own) in zip(meshes, labels, places, strict=False):
+        x, y = (widest - own) * size // 2 + number * size, head + row * (size + foot)
         if mesh is None:
             pen.text(
                 (x + size / 2, y + size / 2), "vanished", _FAINT, ImageFont.load_default(text), "mm", align="center"
@@ -176,7 +181,7 @@ def contact_sheet(
             sheet.paste(Image.fromarray(image(mesh, camera, size=size, material=material)), (x, y))
         pen.text((x + size / 2, y + size + 0.6 * text), label, _INK, ImageFont.load_default(text), "mm")
     if title:
-        pen.text((columns * size / 2, head / 2), title, _INK, ImageFont.load_default(round(1.3 * text)), "mm")
+        pen.text((widest * size / 2, head / 2), title, _INK, ImageFont.load_default(round(1.3 * text)), "mm")
     picture = np.array(sheet)
     if path is not None:
         write(picture, path)

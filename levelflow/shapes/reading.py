@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -57,7 +57,7 @@ def read_ply(path: str | Path, *, call: str) -> dict[str, dict[str, np.ndarray]]
     """
     path, data = _checked(path, call, (".ply",))
     try:
-        return _ply_elements(data)
+        return _ply_columns(data)
     except _Malformed as error:
         raise ValueError(f"{call}: {path.name!r} is not a valid PLY file: {error}") from None
 
@@ -78,6 +78,21 @@ def _checked(path: str | Path, call: str, formats: tuple[str, ...]) -> tuple[Pat
     if not data:
         raise ValueError(f"{call}: {path.name!r} is empty (0 bytes).")
     return path, data
+
+
+def read_vertex_properties(path: Path, *, call: str) -> tuple[Float[np.ndarray, "n d"], dict[str, np.ndarray]]:
+    """The positions of the vertices of a PLY file, and every other property that they have, in its own type.
+
+    Raises:
+        ValueError: If it is not a PLY file.
+    """
+    try:
+        vertex = _ply_columns(path.read_bytes()).get("vertex", {})
+        axes = _axes(vertex)
+    except _Malformed as error:
+        raise ValueError(f"{call}: {path.name!r} is not a valid PLY file: {error}") from None
+    positions = np.stack([vertex[axis] for axis in axes], axis=1).astype(np.float64)
+    return positions, {name: values for name, values in vertex.items() if name not in axes}
 
 
 class _Malformed(Exception):
@@ -199,8 +214,37 @@ class _Property(NamedTuple):
     length: str | None  # the type of the number in front of a list; None for a single value
 
 
-def _ply_elements(data: bytes) -> dict[str, dict[str, np.ndarray]]:
-    """The elements of a PLY file by name; the lengths of a list are beside it, as `... sizes`."""
+def _ply(data: bytes) -> Contents:
+    """Stanford PLY in text or binary; polygons of any size, segments as `edge`, normals as `nx ny nz`."""
+    columns = _ply_columns(data)
+    vertex = columns.get("vertex", {})
+    axes = _axes(vertex)
+    stack = [
+        np.stack([vertex[prefix + axis] for axis in axes], 1).astype(np.float64)
+        for prefix in ("", "n")
+        if all(prefix + axis in vertex for axis in axes)
+    ]
+    corners, sizes = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    face, edge = columns.get("face", {}), columns.get("edge", {})
+    key = next((k for k in ("vertex_indices", "vertex_index") if k in face), None)
+    if key:
+        corners, sizes = face[key].astype(np.int64), face[key + " sizes"].astype(np.int64)
+    elif "vertex1" in edge and "vertex2" in edge:
+        corners = np.stack([edge["vertex1"], edge["vertex2"]], 1).astype(np.int64).reshape(-1)
+        sizes = np.full(len(corners) // 2, 2)
+    return Contents(stack[0], corners, sizes, stack[1] if len(stack) > 1 else None)
+
+
+def _axes(vertex: Mapping[str, np.ndarray]) -> list[str]:
+    """The coordinates that the vertices of a PLY have."""
+    axes = [axis for axis in "xyz" if axis in vertex]
+    if len(axes) < 2:
+        raise _Malformed("its header names no vertices with x, y and z.")
+    return axes
+
+
+def _ply_columns(data: bytes) -> dict[str, dict[str, np.ndarray]]:
+    """The properties of each element of a PLY."""
     head, mark, body = data.partition(b"end_header")
     if not data.startswith(b"ply") or not mark:
         raise _Malformed("it has no header from 'ply' to 'end_header'.")
@@ -218,29 +262,6 @@ def _ply_elements(data: bytes) -> dict[str, dict[str, np.ndarray]]:
         except (ValueError, IndexError):
             raise _Malformed(f"it ends, or goes wrong, within the {count} records of {name!r}.") from None
     return columns
-
-
-def _ply(data: bytes) -> Contents:
-    """Stanford PLY in text or binary; polygons of any size, segments as `edge`, normals as `nx ny nz`."""
-    columns = _ply_elements(data)
-    vertex = columns.get("vertex", {})
-    axes = [axis for axis in "xyz" if axis in vertex]
-    if len(axes) < 2:
-        raise _Malformed("its header names no vertices with x, y and z.")
-    stack = [
-        np.stack([vertex[prefix + axis] for axis in axes], 1).astype(np.float64)
-        for prefix in ("", "n")
-        if all(prefix + axis in vertex for axis in axes)
-    ]
-    corners, sizes = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    face, edge = columns.get("face", {}), columns.get("edge", {})
-    key = next((k for k in ("vertex_indices", "vertex_index") if k in face), None)
-    if key:
-        corners, sizes = face[key].astype(np.int64), face[key + " sizes"].astype(np.int64)
-    elif "vertex1" in edge and "vertex2" in edge:
-        corners = np.stack([edge["vertex1"], edge["vertex2"]], 1).astype(np.int64).reshape(-1)
-        sizes = np.full(len(corners) // 2, 2)
-    return Contents(stack[0], corners, sizes, stack[1] if len(stack) > 1 else None)
 
 
 def _ply_header(head: str) -> tuple[str | None, list[tuple[str, int, list[_Property]]]]:

@@ -110,7 +110,7 @@ def standalone(
         if len(one.box.times) > 1:
             raise ValueError(
                 f"standalone: {one.name} has {len(one.box.times)} parameters, and a page in a file has one slider; "
-                "leave --html out to look at all of them."
+                "leave --html out to look at all of them, or show a Walk through them (--path)."
             )
         mine: dict[str, dict[str, str]] = {}
         for time in _times_of(one, times):

@@ -6,10 +6,11 @@ import re
 import pytest
 import torch
 
-from levelflow import SIREN, Circle, Placed, Transported, equations, load, save
+from levelflow import SIREN, Box, Circle, Placed, Transported, equations, load, save
+from levelflow.equations.described import equation_of
 from levelflow.networks.lifting import lifting_error
 from levelflow.saving import describe
-from tests.fields import lipschitz, placed, points
+from tests.fields import lipschitz, placed, points, siren
 
 pytestmark = pytest.mark.filterwarnings("default")
 
@@ -18,7 +19,9 @@ pytestmark = pytest.mark.filterwarnings("default")
 def here(tmp_path, monkeypatch):
     """A folder with a field of space, one of space-time, one with two parameters, and one that is transported."""
     monkeypatch.chdir(tmp_path)
-    for name, field in (("still", placed(3)), ("moving", placed(3, 1)), ("family", placed(2, 2))):
+    three = Placed(siren(2, 3), Box((0.0, 0.0), (1.0, 1.0), ((0.0, 1.0),) * 3))
+    fields = {"still": placed(3), "moving": placed(3, 1), "family": placed(2, 2), "pair": placed(2, 2), "three": three}
+    for name, field in fields.items():
         field.provenance = {"verb": "fit", "seed": 7, "inputs": ["spot.obj"]}
         save(field, f"{name}.safetensors")
     disc = Placed(SIREN(2, width=4, depth=1), Circle(0.5).box.expanded(1.0))
@@ -53,6 +56,7 @@ def test_a_field_of_space_becomes_one_of_space_and_time_that_stands_still(run, h
         assert (jet.dt == 0).all()
     assert lifted.provenance == {
         **still.provenance,
+        "equation": "Stationary()",
         "changes": [
             {"verb": "lift", "input": "still.safetensors", "width": 24, "depth": 2, "times": [[-1.0, 3.0]]},
         ],
@@ -110,6 +114,42 @@ def test_lifting_and_slicing_give_back_the_field(run, here):
     x, _ = points(load("still.safetensors"))
     assert torch.allclose(load("back.safetensors")(x), load("still.safetensors")(x), rtol=0, atol=1e-14)
     assert [change["verb"] for change in load("back.safetensors").provenance["changes"]] == ["lift", "slice"]
+
+
+def with_equation(equation, name):
+    field = load(name)
+    field.provenance["equation"] = repr(equation)
+    save(field, name)
+
+
+def test_an_equation_stays_with_a_field_only_while_it_holds(run, here):
+    """What is lifted to a time stands still in it, whatever moved the slice that it was."""
+    smooth, push = equations.MeanCurvature(0.5), equations.Transport((1.0, 0.0))
+    with_equation(smooth, "moving.safetensors")
+    run("lift", "moving.safetensors", "-o", "wide.safetensors", "--width", "20")
+    assert load("wide.safetensors").provenance["equation"] == repr(smooth)
+    run("slice", "moving.safetensors", "--time", "3", "-o", "at.safetensors")
+    run("lift", "at.safetensors", "-o", "again.safetensors", "--times", "0:1")
+    at, again = load("at.safetensors"), load("again.safetensors")
+    assert "equation" not in at.provenance and at.provenance["changes"][0]["equation"] == repr(smooth)
+    assert again.provenance["equation"] == "Stationary()" and "equation" not in again.provenance["changes"][1]
+    x, t = points(again)
+    found = equation_of(again.provenance)
+    assert found.error(x, t, again.jet(x, t, order=1)).detach().abs().max() == 0
+
+    with_equation(equations.Family(push, smooth, push), "three.safetensors")
+    for family, time, left in (
+        ("three", "0.5,:,:", repr(equations.Family(smooth, push))),
+        ("three", ":,0.5,0.5", repr(push)),
+        ("three", "0.5,0.5,0.5", None),
+        ("family", "3,:", None),
+        ("family", ":,0", repr(push)),
+        ("pair", ":,0", None),
+    ):
+        with_equation(push, "family.safetensors")
+        with_equation(equations.Family(push, smooth) + equations.Eikonal(), "pair.safetensors")
+        run("slice", f"{family}.safetensors", f"--time={time}", "-o", "some.safetensors")
+        assert load("some.safetensors").provenance.get("equation") == left
 
 
 def test_a_field_may_take_the_place_of_its_source(run, here):

@@ -23,6 +23,9 @@ def folder(tmp_path, monkeypatch):
     moving.provenance["equation"] = "Morph(towards 1 target(s) at t = 1)"
     save(moving, "morph.safetensors")
     save(Placed(network, box), "still.safetensors")
+    pair = Placed(lift(network, time=2), box.during((0.0, 1.0), (-1.0, 3.0)))
+    pair.provenance["equation"] = repr(equations.Family(equations.MeanCurvature(0.1), equations.Stationary()))
+    save(pair, "pair.safetensors")
     network.last.bias.data += 100
     save(Placed(network, box), "empty.safetensors")
     np.savetxt("cloud.xyz", np.random.default_rng(0).normal(size=(40, 3)))
@@ -82,6 +85,24 @@ def test_films_in_time_and_around(run, folder):
                "--size", 32, "--colour", "normal", "--resolution", 16, "-q")[:2] == (0, "")  # fmt: skip
 
 
+def test_fields_of_several_parameters_are_shown_at_a_point_and_on_a_walk(run, folder):
+    common = ("--size", 64, "--resolution", 16)
+    for colour in ("clay", "curvature", "residual"):
+        code, _, err = run("render", "pair.safetensors", "--time", "0.5,-1", "-o", f"{colour}.png", "--colour", colour,
+                           *common)  # fmt: skip
+        assert code == 0, err
+        code, out, err = run("film", "pair.safetensors", "--path", "0,-1:1,-1:1,3", "--frames", 3, "-o", "x.gif",
+                             "--colour", colour, *common)  # fmt: skip
+        assert code == 0 and "3 frames" in out, err
+    assert not np.array_equal(picture("clay.png"), picture("residual.png"))
+    code, out, err = run("film", "pair.safetensors", "--time", "0,0", "--turntable", 360, "--frames", 2, "-o", "t.gif",
+                         *common)  # fmt: skip
+    assert code == 0 and "2 frames" in out, err
+    code, out, err = run("film", "moving.safetensors", "--path", "0:1:0", "--frames", 5, "-o", "t.gif", *common)
+    assert code == 0 and "5 frames" in out, err
+    assert run("mesh", "pair.safetensors", "--time", "1,0", "-o", "m.ply", "--resolution", 16)[0] == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
@@ -105,6 +126,23 @@ def test_films_in_time_and_around(run, folder):
         (("render", "sphere", "--elevation", "90", "-o", "x.png"), 2, "between -90 and 90"),
         (("render", "sphere", "--up", "0,0,0", "-o", "x.png"), 2, "not all zero"),
         (("render", "sphere", "-o", "none/x.png"), 2, "there is no folder"),
+        (("render", "pair.safetensors", "-o", "x.png"), 2,
+         "the field has 2 parameters, from 0 to 1 and from -1 to 3; give one number for each with --time 0.5,1."),
+        (("render", "pair.safetensors", "--time", "0.5", "-o", "x.png"), 2,
+         "and 1 number(s) are given; one for each is needed, such as --time 0.5,1."),
+        (("mesh", "pair.safetensors", "--time", "0,0,0", "-o", "x.ply"), 2, "and 3 number(s) are given"),
+        (("mesh", "moving.safetensors", "--time", "0,1", "-o", "x.ply"), 2, "to 1, and 2 number(s) are given"),
+        (("mesh", "still.safetensors", "--time", "0", "-o", "x.ply"), 2, "leave --time out"),
+        (("mesh", "moving.safetensors", "--time", "soon", "-o", "x.ply"), 2, "--time soon: give numbers"),
+        (("film", "pair.safetensors", "-o", "x.gif"), 2, "corner after corner, such as --path 0,-1:1,-1:1,3, or where"),
+        (("film", "pair.safetensors", "--path", "0:1", "-o", "x.gif"), 2, "such as --path 0,-1:1,-1:1,3."),
+        (("film", "pair.safetensors", "--path", "0,0", "-o", "x.gif"), 2, "give two corners or more"),
+        (("film", "pair.safetensors", "--path", "0,0:0,0", "-o", "x.gif"), 2, "the way has no length"),
+        (("film", "pair.safetensors", "--path", "0,0:9,0", "-o", "x.gif"), 2, "solved for times from 0 to 1"),
+        (("film", "pair.safetensors", "--path", "0,0:1,0", "--times", "0,1", "-o", "x.gif"), 2, "the walk says when"),
+        (("film", "still.safetensors", "--path", "0:1", "-o", "x.gif"), 2, "leave --path out"),
+        (("film", "sphere", "--path", "0:1", "-o", "x.gif"), 2, "a shape has no parameters; leave --path out"),
+        (("film", "moving.safetensors", "--time", "0", "--times", "0,1", "-o", "x.gif"), 2, "the surface stands still"),
         (("film", "moving.safetensors", "-o", "x.avi"), 2, "known formats are .mp4"),
         (("film", "moving.safetensors", "-o", "x.gif", "--times", "0,2"), 2, "solved for times from 0 to 1"),
         (("film", "still.safetensors", "-o", "x.gif", "--times", "0,1"), 2, "the surface stands still"),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from levelflow import SIREN, Budget, Mesh, Sphere, equations, fit, save, solve
+from levelflow import SIREN, Budget, Mesh, Sphere, Transported, equations, fit, save, solve
 from levelflow.export.vdb import INTERPRETER
 
 pytestmark = pytest.mark.filterwarnings("default")
@@ -29,7 +29,10 @@ def fields(tmp_path_factory):
         until=1.0, budget=budget,
     )  # fmt: skip
     save(moved, folder / "moving.safetensors")
-    save(fit(SIREN(3, width=24, depth=2), ball, budget=budget), folder / "still.safetensors")
+    still = fit(SIREN(3, width=24, depth=2), ball, budget=budget)
+    save(still, folder / "still.safetensors")
+    pushes = (equations.Transport(equations.Constant(b)) for b in ((2.0, 0.0, 0.0), (0.0, 4.0, 0.0)))
+    save(Transported(equations.Family(*pushes), still, until=(1.0, 1.0)), folder / "pair.safetensors")
     return folder
 
 
@@ -74,6 +77,19 @@ def test_one_time_is_one_file(run, here):
         0, "  still.ply: t = 0\nstill.ply: 1 frame\n",
     )  # fmt: skip
     assert sorted(path.name for path in here.glob("*.ply")) == ["one.ply", "still.ply"]
+
+
+def test_a_walk_through_parameters_is_exported_like_a_motion(run, here):
+    """Two units along x and then four along y; the vertices of a tracked mesh go along with the pushes."""
+    walk = ("--path", "0,0:1,0:1,1", "--frames", 3, *SMALL)
+    code, out, err = run("export", "pair.safetensors", *walk, "-o", "out", "--track")
+    assert code == 0 and "out: 3 frames" in out, err
+    first, middle, last = (trimesh.load(f"out/pair_000{i}.ply", process=False).vertices for i in range(3))
+    assert is_the_ball(first, 0) and np.allclose(middle - first, [2, 0, 0], atol=1e-4)
+    assert np.allclose(last - first, [2, 4, 0], atol=1e-4)
+    assert run("export", "pair.safetensors", *walk, "-o", "out.npz")[0] == 0
+    assert run("export", "pair.safetensors", "--time", "0.5,0", "-o", "one.ply", "-q", *SMALL) == (0, "", "")
+    assert is_the_ball(trimesh.load("one.ply").vertices, 0.5)
 
 
 def test_a_film_is_one_file(run, here):
@@ -167,10 +183,17 @@ def test_an_empty_level_set_is_answered(run, here):
             r"at\(3\): the field was solved for times",
         ),
         (("moving", "-o", "a.ply"), "moves from t = 0 to 1; say when with --times"),
+        (("still", "--track", "-o", "a.glb"), "nothing moves; leave --track out, or say when with --times"),
+        (("moving", "--time", "0", "--track", "-o", "a.glb"), "nothing moves; leave --track out, or say when"),
+        (("moving", "--times", "0", "--time", "0", "-o", "a.ply"), "give one of --times, --time and --path"),
+        (("moving", "--time", "0,1", "-o", "a.ply"), r"2 number\(s\) are given; one for each is needed"),
+        (("pair", "--times", "0,1", "-o", "a.ply"), "say how to walk through them, .* such as --path 0,0:1,0:1,1, or"),
+        (("pair", "--path", "0,0:1", "-o", "a.ply"), "give two corners or more with one number for each"),
+        (("pair", "--path", "0,0:1,1", "--frames", "1", "-o", "a.ply"), "a walk has at least two frames"),
         (("moving", "--times", "soon", "-o", "a.ply"), "give numbers"),
         (
             ("still", "--times", "0", "-o", "a.ply"),
-            "does not depend on time; leave --times and --track out",
+            "does not depend on time; leave --times out",
         ),
         (("moving", "--times", "0", "-o", "a.glb", "--up", "x"), "--up x: give y or z"),
         (

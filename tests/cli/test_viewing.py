@@ -9,7 +9,7 @@ import webbrowser
 import numpy as np
 import pytest
 
-from levelflow import SIREN, Box, Budget, Placed, Sphere, equations, extract, fit, save, solve
+from levelflow import SIREN, Box, Budget, Placed, Sphere, equations, extract, fit, lift, load, save, solve
 
 pytestmark = pytest.mark.filterwarnings("default")
 
@@ -22,6 +22,8 @@ def files(tmp_path_factory):
     save(moved, folder / "moving.safetensors")
     save(fit(SIREN(3, width=16, depth=2), ball, budget=budget), folder / "still.safetensors")
     extract(ball.distance, box=ball.box.expanded(1.0), resolution=16).write(folder / "ball.ply")
+    save(Placed(lift(load(folder / "still.safetensors").field, time=2),
+                Box((-6,) * 3, (6,) * 3, ((0, 1), (0, 1)))), folder / "pair.safetensors")  # fmt: skip
     gone = Placed(SIREN(3, 1, width=4, depth=1), Box((-1,) * 3, (1,) * 3, ((0, 1),)))
     gone.field.last.bias.data.fill_(2.0)
     save(gone, folder / "gone.safetensors")
@@ -83,6 +85,8 @@ def test_a_page_is_written_to_a_file(run, here):
     assert '"times":[[0.0,0.5,1.0]]' in (here / "out.html").read_text("utf-8")
     assert "no motion" in run("view", "still.safetensors", *common)[1]
     assert "25 times" in run("view", "moving.safetensors", *common)[1]
+    code, out, err = run("view", "pair.safetensors", "ball.ply", "--path", "0,0:1,0:1,1", "--times", "0:1:3", *common)
+    assert code == 0 and "3 times" in out, err
 
 
 @pytest.mark.parametrize(
@@ -103,6 +107,9 @@ def test_a_page_is_written_to_a_file(run, here):
         ),
         (("moving.safetensors", "--html", "a.html", "--times", "soon"), 2, "give numbers"),
         (("ball.ply", "--html", "a.html", "--times", "0"), 2, "nothing of what is given moves; leave --times out"),
+        (("pair.safetensors", "--html", "a.html"), 2, r"has 2 parameters, .* show a Walk through them \(--path\)"),
+        (("pair.safetensors", "--html", "a.html", "--path", "0:1"), 2, "give two corners or more"),
+        (("ball.ply", "--path", "0:1"), 2, "nothing of what is given moves; leave --path out"),
         (("ball.ply", "--html", "none/a.html"), 2, "there is no folder 'none'; make it first"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",

@@ -101,7 +101,7 @@ def test_what_is_no_family_is_refused(unchecked):
         ({0.0: Circle(0.5)}, (1.0, 1.0), "the network has 2 time"),
         ({(0.0,): Circle(0.5)}, (1.0, 1.0), "give a number for each, or None"),
         ({(None, None): Circle(0.5)}, (1.0, 1.0), "give a number for each, or None"),
-        ({(0.0, 0.0): Circle(0.5)}, (1.0,), "the network has 2 parameters; give an end"),
+        ({(0.0, 0.0): Circle(0.5)}, (1.0,), "there are 2 parameters; give an end"),
         ({(0.0, 0.0): Circle(0.5)}, (1.0, None), "all is given at t = 0"),
         ({(0.0, 0.0): Circle(0.5)}, ((0.0, 0.0), 1.0), "solve, parameter 0: all is given at t = 0"),
         ({(0.0, None): Circle(0.5)}, (1.0, None), "nothing is given at a value of parameter 1"),

@@ -82,6 +82,10 @@ def test_a_sheet_may_have_rows_curves_and_nothing_to_show() -> None:
     assert contact_sheet([RING] * 6, list("abcdef"), size=40).shape == (2 * 60, 3 * 40, 3)
     assert contact_sheet([RING] * 4, list("abcd"), size=40, columns=1).shape == (4 * 60, 40, 3)
     assert contact_sheet([None], ["gone"], size=40).shape == (60, 40, 3)
+    triangle = contact_sheet([RING] * 3, list("abc"), size=40, columns=(1, 2))
+    assert triangle.shape == (2 * 60, 2 * 40, 3)
+    top, bottom = ((triangle[60 * row : 60 * row + 40] != GROUND).any((0, 2)) for row in (0, 1))
+    assert not top[:20].any() and top[20:60].any() and not top[60:].any() and bottom[:20].any() and bottom[60:].any()
 
 
 def test_pictures_are_written_whole_or_not_at_all(tmp_path: Path) -> None:
@@ -154,3 +158,5 @@ def test_pictures_that_cannot_be() -> None:
         contact_sheet([BALL], ["a", "b"])
     with pytest.raises(ValueError, match="0 meshes"):
         contact_sheet([], [])
+    with pytest.raises(ValueError, match=r"contact_sheet\(columns=\(1, 1\)\): the rows hold 2 of 3 meshes"):
+        contact_sheet([BALL] * 3, list("abc"), columns=(1, 1))

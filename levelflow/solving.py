@@ -151,36 +151,21 @@ def solve(
     smooths = equation.order > 1 and not sharpens and len(at) == 1 and not everywhere
     band, normal = (math.inf, 0.0) if everywhere else (NARROW, 0.001) if smooths else (BAND, 0.01)
     terms: list[Term] = []
-    parameters = list(field.parameters())
     for instant, samples in zip(instants, given, strict=True):
         now = tuple(field.unit_times(torch.tensor([instant], dtype=torch.float64))[0].tolist())
         terms.append(OnSurface(field.field, samples, now, n=math.ceil(on / len(at)), normal=normal))
         terms.append(OffSurface(field.field, samples, now, n=math.ceil(off / len(at)), band=band))
     if isinstance(field.field, LipschitzMLP):
         terms.append(Steepness(field.field))
-    if not equation.columns:
+    if not equation.columns or start is not None or (network.times > 1 and len(at) > 1):
         warm_up = 0.0
-    elif network.times == len(at) == 1 and equation.has_characteristics(box.space):
-        ((t,),) = instants
-        terms.append(Carried(field, equation, given[0], t, n=n, generator=generator))
-        terms.append(Motion(field, equation, n=max(1, n // 4)))
-    else:
-        if start is not None or (network.times > 1 and len(at) > 1):
-            warm_up = 0.0
-        if warm_up:
-            times = [0.0 if math.isnan(t) else t for t, *_ in instants]
-            terms.append(Blend(field, given, times, n=n, until=warm_up, band=band))
-        held = given[0].where(functools.partial(_held, equation), box)
-        if len(at) == 1 and len(held.near):
-            terms.append(Held(field, [held], [0.0], n=n // 4, band=band))
-        if equation.bends:
-            kappa = _for_curvature(field, generator)
-            parameters.extend(kappa.parameters())
-            terms.append(Agreement(field, equation, kappa, n=n, until=warm_up))
-            terms.append(Bending(field, equation, kappa, n=n, since=warm_up, origin=instants[0][0]))
-        else:
-            motion = Diffusion if everywhere else Smoothing if smooths else Motion
-            terms.append(motion(field, equation, n=n, since=warm_up, origin=instants[0][0]))
+    if equation.columns:
+        terms += _motion(
+            field, equation, given, instants, n=n, warm_up=warm_up, band=band, everywhere=everywhere, smooths=smooths,
+            generator=generator,
+        )  # fmt: skip
+    bending = [p for term in terms if isinstance(term, Bending) for p in term.kappa.parameters()]
+    parameters = [*field.parameters(), *bending]
     try:
         progress = minimise(parameters, terms, budget=budget, generator=generator, on_step=on_step, state=state)
     except Divergence as error:
@@ -202,6 +187,43 @@ def solve(
         },
     }
     return field
+
+
+def _motion(
+    field: Placed,
+    equation: Equation,
+    given: Sequence[Given],
+    instants: Sequence[tuple[float, ...]],
+    *,
+    n: int,
+    warm_up: float,
+    band: float,
+    everywhere: bool,
+    smooths: bool,
+    generator: torch.Generator,
+) -> list[Term]:
+    """What asks for the equation: along its characteristics if it has some, else after a first guess."""
+    box, alone = field.box, len(given) == 1
+    if field.times == 1 and alone and equation.has_characteristics(box.space):
+        ((t,),) = instants
+        carried = Carried(field, equation, given[0], t, n=n, generator=generator)
+        return [carried, Motion(field, equation, n=max(1, n // 4))]
+    terms: list[Term] = []
+    if warm_up:
+        times = [0.0 if math.isnan(t) else t for t, *_ in instants]
+        terms.append(Blend(field, given, times, n=n, until=warm_up, band=band))
+    held = given[0].where(functools.partial(_held, equation), box)
+    if alone and len(held.near):
+        terms.append(Held(field, [held], [0.0], n=n // 4, band=band))
+    origin = instants[0][0]
+    if equation.bends:
+        kappa, prepared = _for_curvature(field, generator), warm_up or 0.1
+        terms.append(Agreement(field, equation, kappa, n=n, until=prepared))
+        terms.append(Bending(field, equation, kappa, n=n, since=prepared, origin=origin))
+    else:
+        motion = Diffusion if everywhere else Smoothing if smooths else Motion
+        terms.append(motion(field, equation, n=n, since=warm_up, origin=origin))
+    return terms
 
 
 def _for_curvature(field: Placed, generator: torch.Generator) -> SIREN:

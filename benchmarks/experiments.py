@@ -40,7 +40,7 @@ from levelflow.extraction import EmptyLevelSet
 from levelflow.measures import residual_table, surface_distance
 from levelflow.shapes import Cuboid, Dumbbell, Solid, Sphere
 from levelflow.shapes.implicit import Implicit, NoSurface
-from levelflow.suite import _at_origin, _change, _radii
+from levelflow.suite.suite import at_origin, change, radii
 
 CUBE = Box((-1.0,) * 3, (1.0,) * 3)
 """The domain of the papers."""
@@ -306,8 +306,8 @@ def cube(run: Run) -> Outcome:
         run, Cuboid((1.2, 1.2, 1.2)), 0.1, times=[i / 5 for i in range(6)], interval=(0.0, 1.0)
     )
     for t in (0.0, 0.4, 0.8):
-        radii, others = _radii(f.at(t)), _radii(other.at(t))
-        ratio = float(radii.max() / radii.min())
+        own, others = radii(f.at(t)), radii(other.at(t))
+        ratio = float(own.max() / own.min())
         lines: list[list[Cell]] = [
             [f"default: greatest radius over the least, t = {t:g}", ratio, "towards 1" if t else "1.7 for a cube"],
             [f"constraints: the same, t = {t:g}", float(others.max() / others.min()), None],
@@ -324,7 +324,7 @@ def dumbbell(run: Run) -> Outcome:
         times=(0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4), interval=(0.0, 0.4), azimuth=75.0,
     )  # fmt: skip
     for way, g in (("default", f), ("constraints", other)):
-        found = _change(lambda t, g=g: _at_origin(g, t) < 0, 0.0, 0.4)  # type: ignore[misc]
+        found = change(lambda t, g=g: at_origin(g, t) < 0, 0.0, 0.4)  # type: ignore[misc]
         outcome.lines.append([f"{way}: time of the pinch (exactly {pinch / rate:.3f})", f"{found:.3f}", "no number"])
     outcome.notes.append(
         f"Ours has balls of radius 0.3 and a neck of 0.12; the exact time of its pinch is that of `levelflow bench` "

@@ -150,7 +150,7 @@ class Following:
 
     def begun(self, key: Key, box: Box) -> Placed:
         """The evolution that there is, the field that a shape is, or one fitted to it in a box."""
-        from levelflow.fields import Field, Placed
+        from levelflow.fields import Placed
         from levelflow.fitting import fit
         from levelflow.progress import Bar
         from levelflow.saving import load
@@ -161,10 +161,8 @@ class Following:
             if not isinstance(field, Placed) or made != json.loads(json.dumps(self.settings)):
                 raise ValueError(f"--resume: {self.file} was made with {made}, and now it is {self.settings}.")
             return field
-        if isinstance(key, Placed) and not key.times:
+        if isinstance(key, Placed):
             return key
-        if isinstance(key, Field):
-            raise ValueError(f"{self.verb} {self.shape}: give a static field, such as levelflow fit and slice write.")
         with Bar(f"fitting {self.shape}", quiet=self.run.quiet) as bar:
             return fit(
                 self.run.network(box.space), key, box=box, budget=self.run.budget(), seed=self.run.seed, on_step=bar

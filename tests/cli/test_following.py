@@ -89,7 +89,7 @@ def test_wrong_use_is_explained(run, here, arguments, message):
 def test_a_field_that_moves_is_refused(run, here, ball):
     run("lift", ball, "-o", "moving.safetensors", "--times=0:1")
     code, _, err = run("evolve", "moving.safetensors")
-    assert code == 2 and "give a static field" in err
+    assert code == 2 and "the field moves" in err
 
 
 def test_a_shape_is_smoothed_at_its_volume(run, here):

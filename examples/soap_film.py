@@ -4,7 +4,7 @@
 
 A cylinder is held above and below two planes. Between them it shrinks by mean curvature; in the end its neck has the
 radius a of r = a cosh(z / a), which is printed beside what was found: the network rounds the creases at the rings, and
-the film is a few per cent too narrow.
+the film is a per cent too narrow.
 
 Reference:
     Novello et al., Neural homotopies (2022), Sec. 4.2.3.

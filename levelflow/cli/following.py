@@ -13,6 +13,7 @@ import typer
 
 from levelflow._version import __version__
 from levelflow.cli.names import box_of, fingerprint, half_box, key_named
+from levelflow.cli.options import Depth, Device, Folder, Quiet, Resume, Seed, ShapeArgument, Width
 from levelflow.cli.running import Run, folder_for
 
 if TYPE_CHECKING:
@@ -24,22 +25,14 @@ if TYPE_CHECKING:
     from levelflow.flows import Flow
 
 
-Shape = Annotated[str, typer.Argument(metavar="SHAPE", help="A mesh, a built-in shape, or a field.")]
-Output = Annotated[Path | None, typer.Option("--output", "-o", help="The folder for the results.")]
 Count = Annotated[int, typer.Option(help="How many steps of time.")]
 Cells = Annotated[int, typer.Option(help="Cells of the mesh that moves, along the longest side.")]
 FitSteps = Annotated[int | None, typer.Option(help="Training steps of the first fit.")]
-Seed = Annotated[int, typer.Option(help="Of every random choice.")]
-Device = Annotated[str, typer.Option(help="cpu, cuda, ...")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but warnings and errors.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on from the last step in the output folder.")]
-Width = Annotated[int, typer.Option(help="Neurons of a layer.")]
-Depth = Annotated[int, typer.Option(help="Hidden layers.")]
 
 
 def evolve(
-    shape: Shape,
-    output: Output = None,
+    shape: ShapeArgument,
+    output: Folder = None,
     flow: Annotated[
         str, typer.Option(help="curvature, taubin, offset or area; with +keep behind it the volume is kept.")
     ] = "curvature",
@@ -71,9 +64,9 @@ def evolve(
 
 
 def edit(
-    shape: Shape,
+    shape: ShapeArgument,
     handles: Annotated[Path, typer.Option(help="What is held, moved and turned: a JSON file (docs/handles.md).")],
-    output: Output = None,
+    output: Folder = None,
     rigid: Annotated[
         str, typer.Option(help="blended, arap (as rigid as possible) or shell (the thin-shell system alone).")
     ] = "blended",

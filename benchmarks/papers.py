@@ -91,6 +91,7 @@ def _epochs(number: int, cloud: int, on_surface: int) -> int:
 
 HOMOTOPIES, NISE, MORE = "neural-homotopies", "nise-2023", "nise-2023, supplement"
 PLANE = Setting(width=64, points=2048, steps=150)
+TABLE = Setting(steps=1000)
 
 EXPERIMENTS: Mapping[str, Experiment] = {
     "twist": Experiment(
@@ -99,6 +100,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         experiments.twist,
         Setting(256, 3, 48_000, 30.0, 58_000, (8, 25, 25)),
         "The surfaces at t = 0, 0.25, 0.5.",
+        TABLE,
     ),
     "source-sink": Experiment(
         "Spot under a source in its body and a sink in its head",
@@ -106,6 +108,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         experiments.source_sink,
         Setting(128, 2, 46_000, 30.0, 6_500),
         "The head shrinks while the body grows.",
+        TABLE,
     ),
     "cube": Experiment(
         "A cube of side 1.2 under mean curvature of rate 0.1",
@@ -113,6 +116,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         experiments.cube,
         Setting(256, 4, _epochs(8000, 40_000, 5000), 16.0, 20_000),
         "It contracts at the corners first, and is very close to a sphere before it vanishes.",
+        TABLE,
     ),
     "dumbbell": Experiment(
         "A dumbbell under mean curvature of rate 0.05",
@@ -120,6 +124,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         experiments.dumbbell,
         Setting(256, 4, _epochs(2800, 80_000, 5000), 16.0, 20_000),
         "The neck pinches first; each part becomes a small sphere and vanishes.",
+        TABLE,
     ),
     "armadillo": Experiment(
         "The armadillo under mean curvature of rate 0.001, given at t = -1",
@@ -127,6 +132,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         experiments.armadillo,
         Setting(360, 4, _epochs(33_000, 80_000, 5000), 30.0, 20_000),
         "It becomes smoother; what is convex, as the fingers, contracts.",
+        TABLE,
     ),
     "sphere-transport": Experiment(
         "A sphere of radius 1/2 moved along (0, 1, 1)",

@@ -11,7 +11,7 @@ from levelflow.curvature import gradient_norm, total_curvature
 from levelflow.equations.equation import Equation
 from levelflow.fields import Field, Placed
 from levelflow.jets import Jet
-from levelflow.motion import Smoothing
+from levelflow.motion import Smoothing, Start
 
 
 class Agreement(Smoothing):
@@ -36,9 +36,9 @@ class Agreement(Smoothing):
         n: int,
         since: float = 0.0,
         until: float = 1.0,
-        origin: float | None = None,
+        start: Start | None = None,
     ) -> None:
-        super().__init__(placed, equation, n=n, since=since, origin=origin)
+        super().__init__(placed, equation, n=n, since=since, start=start)
         self.kappa, self.until = kappa, until
 
     def loss(self, *batch: Tensor) -> Tensor:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from levelflow.averaging import Averages
+from levelflow.averaging import Volume
 from levelflow.boxes import Box
 from levelflow.conditions import BAND, Given, band_error, pick
 from levelflow.curvature import gradient_norm, total_curvature
@@ -17,6 +17,9 @@ from levelflow.equations.volume import VolumePreserving
 from levelflow.fields import Placed
 from levelflow.jets import Jet
 from levelflow.minimising import Batch
+
+Start = Callable[[Tensor], Tensor]
+"""The values of a given shape, at points in its units."""
 
 
 class Motion:
@@ -30,6 +33,9 @@ class Motion:
     second order errors count relative to the curvature once its radius is below a tenth: a neck of radius r closes
     after a time of the order of r^2, in which an error of its speed moves it by that share of r. Where the speed is
     bounded they count as they are.
+
+    Attributes:
+        volume: Of an equation that keeps the volume, what says the mean speed; a term of its own, too.
     """
 
     name = "motion"
@@ -38,24 +44,22 @@ class Motion:
     ramp, spent = 0.0, 0.0
 
     def __init__(
-        self, placed: Placed, equation: Equation, *, n: int, since: float = 0.0, origin: float | None = None
+        self, placed: Placed, equation: Equation, *, n: int, since: float = 0.0, start: Start | None = None
     ) -> None:
         self.placed, self.equation, self.n, self.since = placed, equation, n, since
         like = next(placed.parameters())
         self.memory = {"walkers": like.new_zeros(8 * n, placed.space + placed.times), "age": torch.zeros(1)}
-        self.averages = None
+        self.volume = None
         if isinstance(equation, VolumePreserving):
-            self.averages = Averages(placed, equation, placed.box.times[0][0] if origin is None else origin)
-            self.memory["means"] = self.averages.unknown
+            self.volume = Volume(placed, equation, start or placed.at(placed.box.times[0][0]), jet=self.jet)
             self.ramp = 0.4
 
     def sample(self, generator: torch.Generator) -> Batch:
         if self.memory["age"] % self.every == 0:
             self._walk(generator)
-        if self.averages is not None:
-            if self.memory["age"] % self.averages.every == 0:
-                self.memory["means"] = self.averages.measured(self.memory["means"], self.jet, generator)
-            self.equation = self.averages.known(self.memory["means"])
+        if self.volume is not None:
+            self.volume.look(generator)
+            self.equation = self.volume.equation
         self.memory["age"] += 1
         near, d = max(1, round(self.near * self.n)), self.placed.space
         (z,) = pick(near, self.memory["walkers"], generator=generator)

@@ -215,15 +215,15 @@ def _motion(
     held = given[0].where(functools.partial(_held, equation), box)
     if alone and len(held.near):
         terms.append(Held(field, [held], [0.0], n=n // 4, band=band))
-    origin = instants[0][0]
+    start = given[0].value
     if equation.bends:
         kappa, prepared = _for_curvature(field, generator), warm_up or 0.1
         terms.append(Agreement(field, equation, kappa, n=n, until=prepared))
-        terms.append(Bending(field, equation, kappa, n=n, since=prepared, origin=origin))
+        motion: Motion = Bending(field, equation, kappa, n=n, since=prepared, start=start)
     else:
-        motion = Diffusion if everywhere else Smoothing if smooths else Motion
-        terms.append(motion(field, equation, n=n, since=warm_up, origin=origin))
-    return terms
+        kind = Diffusion if everywhere else Smoothing if smooths else Motion
+        motion = kind(field, equation, n=n, since=warm_up, start=start)
+    return [*terms, *([motion.volume] if motion.volume is not None else []), motion]
 
 
 def _for_curvature(field: Placed, generator: torch.Generator) -> SIREN:

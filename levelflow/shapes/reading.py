@@ -62,6 +62,22 @@ def read_ply(path: str | Path, *, call: str) -> dict[str, dict[str, np.ndarray]]
         raise ValueError(f"{call}: {path.name!r} is not a valid PLY file: {error}") from None
 
 
+def read_vertex_properties(path: str | Path, *, call: str) -> tuple[Float[np.ndarray, "n d"], dict[str, np.ndarray]]:
+    """The positions of the vertices of a PLY file, and every other property that they have, in its own type.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is a folder, has another extension, or is not a valid PLY file.
+    """
+    vertex = read_ply(path, call=call).get("vertex", {})
+    try:
+        axes = _axes(vertex)
+    except _Malformed as error:
+        raise ValueError(f"{call}: {Path(path).name!r} is not a valid PLY file: {error}") from None
+    positions = np.stack([vertex[axis] for axis in axes], axis=1).astype(np.float64)
+    return positions, {name: values for name, values in vertex.items() if name not in axes}
+
+
 def _checked(path: str | Path, call: str, formats: tuple[str, ...]) -> tuple[Path, bytes]:
     """The contents of a file that is there, has one of the extensions and is not empty."""
     path = Path(path)
@@ -78,21 +94,6 @@ def _checked(path: str | Path, call: str, formats: tuple[str, ...]) -> tuple[Pat
     if not data:
         raise ValueError(f"{call}: {path.name!r} is empty (0 bytes).")
     return path, data
-
-
-def read_vertex_properties(path: Path, *, call: str) -> tuple[Float[np.ndarray, "n d"], dict[str, np.ndarray]]:
-    """The positions of the vertices of a PLY file, and every other property that they have, in its own type.
-
-    Raises:
-        ValueError: If it is not a PLY file.
-    """
-    try:
-        vertex = _ply_columns(path.read_bytes()).get("vertex", {})
-        axes = _axes(vertex)
-    except _Malformed as error:
-        raise ValueError(f"{call}: {path.name!r} is not a valid PLY file: {error}") from None
-    positions = np.stack([vertex[axis] for axis in axes], axis=1).astype(np.float64)
-    return positions, {name: values for name, values in vertex.items() if name not in axes}
 
 
 class _Malformed(Exception):

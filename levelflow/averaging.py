@@ -10,7 +10,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from levelflow.curvature import gradient_norm
+from levelflow.curvature import gauss_curvature, gradient_norm, normal, total_curvature
 from levelflow.equations.volume import VolumePreserving
 from levelflow.extraction import EmptyLevelSet, ExtractionWarning, extract
 from levelflow.fields import Placed
@@ -25,6 +25,9 @@ class Volume:
     Every few steps the surface of each time is measured on the field: its volume V, its area A, the mean speed of the
     motion, and points $x_s$ on it, where the field is $f_s$ and its slope $g_s$. So that a volume that has gone astray
     comes back, the mean speed is raised by the excess $(V - V_0) / A$, times `pull` over the length of the interval.
+    So are those of the level sets nearby, which are measured at points moved along the normals by s and weighed by the
+    change $1 + s \kappa + s^2 K$ of the area.
+
     Means that are learnt with noise keep the volume to half a per cent. In the last part of training, as a term of the
     loss, the volume is therefore asked for itself: in between two looks at the surface
 
@@ -43,6 +46,7 @@ class Volume:
 
     name, weight, since = "volume", 1000.0, 0.7
     every, knots, resolution, points, pull, share = 20, 9, 48, 500, 4.0, 0.3
+    levels = (-0.3, -0.15, 0.0, 0.15, 0.3)
 
     def __init__(
         self,
@@ -59,7 +63,7 @@ class Volume:
         self.memory = {
             "age": torch.zeros(1),
             "reach": self.times.new_zeros(1),
-            "means": self.times.new_zeros(self.knots),
+            "means": self.times.new_zeros(self.knots, len(self.levels)),
             "points": like.new_zeros(*shape, placed.space + 1),
             "values": like.new_zeros(shape),
             "slopes": like.new_full(shape, math.inf),
@@ -70,7 +74,8 @@ class Volume:
     def equation(self) -> VolumePreserving:
         """The equation with what was measured."""
         reach = float(self.memory["reach"]) or math.inf
-        return self.motion.measured(self.times.tolist(), self.memory["means"].tolist(), reach=reach)
+        levels = [level * reach for level in self.levels] if math.isfinite(reach) else self.levels
+        return self.motion.measured(self.times.tolist(), self.memory["means"].tolist(), levels=levels, reach=reach)
 
     def look(self, generator: torch.Generator) -> None:
         """Measures anew when it is time; to be called once a step."""
@@ -101,20 +106,38 @@ class Volume:
         share = self.share if memory["reach"] else 1.0
         memory["reach"] = memory["reach"] + share * (2 * abs(reference.volume) / reference.area - memory["reach"])
         for i, time in enumerate(self.times.tolist()):
-            memory["slopes"][i], memory["excess"][i], mean = math.inf, 0.0, 0.0
+            memory["slopes"][i], memory["excess"][i], means = math.inf, 0.0, self.times.new_zeros(len(self.levels))
             surface = self._surface(placed.at(time))
             if surface is not None:
                 excess = (surface.volume - reference.volume) / surface.area
                 x = surface.sample(self.points, generator=generator).points
-                t = torch.full((len(x), 1), time, dtype=x.dtype)
-                z = torch.cat([placed.box.frame.to_unit(x), placed.unit_times(t)], dim=1).to(memory["points"])
-                jet, scale = self.jet(z), placed.box.frame.scale
+                z, jet = self._seen(x, time)
+                scale = placed.box.frame.scale
                 memory["points"][i], memory["values"][i] = z, jet.value / scale
-                memory["slopes"][i] = gradient_norm(jet)
-                memory["excess"][i] = excess / scale
-                speed = float(self.motion.motion.speed(x, t, jet).double().mean())
-                mean = speed + self.pull / float(self.times[-1] - self.times[0]) * excess
-            memory["means"][i] += share * (mean - memory["means"][i])
+                memory["slopes"][i], memory["excess"][i] = gradient_norm(jet), excess / scale
+                means = self._means(x, time, jet) + self.pull / float(self.times[-1] - self.times[0]) * excess
+            memory["means"][i] += share * (means - memory["means"][i])
+
+    def _seen(self, x: Tensor, time: float) -> tuple[Tensor, Jet]:
+        """The normalised points of space-time, and the jet there."""
+        t = torch.full((len(x), 1), time, dtype=x.dtype)
+        z = torch.cat([self.placed.box.frame.to_unit(x), self.placed.unit_times(t)], dim=1).to(self.memory["points"])
+        return z, self.jet(z)
+
+    def _means(self, x: Tensor, time: float, jet: Jet) -> Tensor:
+        """The mean speed of the level sets around points of the surface."""
+        across, slope = normal(jet).to(x), gradient_norm(jet).to(x)
+        kappa = total_curvature(jet).to(x)
+        gauss = gauss_curvature(jet).to(x) if x.shape[1] == 3 else torch.zeros_like(kappa)
+        t = torch.full((len(x), 1), time, dtype=x.dtype)
+        found = []
+        for level in self.levels:
+            s = level * float(self.memory["reach"]) / slope.clamp_min(0.3)
+            weight = (1 + s * kappa + s**2 * gauss).clamp(0.0, 4.0)
+            _, there = self._seen(x + s[:, None] * across, time)
+            speed = self.motion.motion.speed(x, t, there).to(weight)
+            found.append((weight * speed).sum() / weight.sum().clamp_min(1e-9))
+        return torch.stack(found)
 
     @functools.cached_property
     def _reference(self) -> Mesh | None:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from levelflow.boxes import Box
 from levelflow.conditions import Given, OffSurface, OnSurface, Sampling
-from levelflow.curvature import gradient_norm
+from levelflow.curvature import gradient_norm, normal
 from levelflow.extraction import EmptyLevelSet, ExtractionWarning, extract
 from levelflow.fields import Field, Placed
 from levelflow.flows.flow import Flow
@@ -245,33 +245,41 @@ class _Follower:
     ) -> Given:
         """Points on the moved surface and distances around it.
 
-        The faces of a mesh cut corners, by more after many steps than may be lost. So points of them are brought to the
-        surface of the field itself before they are moved, and distances from the moved faces are corrected by those of
-        the points from which they start. What has come to lie inside is not on the surface, and distances around it are
+        The faces of a mesh cut corners, by more after many steps than may be lost, and what is finer than they are they
+        do not know. So points of them are brought to the surface of the field itself before they are moved, with the
+        normals that it has there. Along these the distance is how far one goes, unless the moved faces say that
+        something else is nearer by more than a cell; elsewhere distances from the moved faces are corrected by those of
+        the points from which one starts. What has come to lie inside is not on the surface, and distances around it are
         those from what is.
         """
         n, frame = self.sampling.given, field.box.frame
-        outer, distance = _outside(moved, cell=max(field.box.size) / self.resolution)
+        cell = max(field.box.size) / self.resolution
+        outer, distance = _outside(moved, cell=cell)
         face, shares = _spread(mesh, n, generator)
-        x, offset, normal = (
+        x, offset = (
             torch.from_numpy(np.einsum("nk,nkd->nd", shares, of[mesh.faces[face]]))
-            for of in (mesh.vertices, displacement, moved.vertex_normals)
+            for of in (mesh.vertices, displacement)
         )
-        points, at_surface = _projected(field, x) + offset, torch.from_numpy(outer[face])
+        x, normals = _projected(field, x)
+        normals = _turned(mesh, moved, face, normals)
+        points, at_surface = x + offset, torch.from_numpy(outer[face])
         within = field.box.contains(points)
-        points, normal, at_surface = points[within], normal[within], at_surface[within]
+        points, normals, at_surface = points[within], normals[within], at_surface[within]
         if at_surface.sum() < 4:
             raise Vanished("evolve: the flow takes the whole surface out of the box of the field.")
-        spread = torch.full((len(points), 1), 0.02 * frame.scale, dtype=torch.float64)
-        spread[2 * len(points) // 3 :] = 0.1 * frame.scale
-        near = points + spread * torch.randn(points.shape, generator=generator, dtype=torch.float64)
+        along = torch.randn(len(points), generator=generator, dtype=torch.float64)
+        along[2 * len(points) // 3 :] = math.nan
+        anyhow = torch.randn(points.shape, generator=generator, dtype=torch.float64)
+        along, anyhow = 0.02 * frame.scale * along, 0.1 * frame.scale * anyhow
+        near = points + torch.where(along.isnan()[:, None], anyhow, along[:, None] * normals)
         values = distance(near) - torch.where(at_surface, distance(points), 0.0)
+        values = torch.where(at_surface & ((values - along).abs() < cell), along, values)
         inside = field.box.contains(near)
         far = field.box.uniform(max(4, n // 4), generator=generator)
         like = next(field.parameters())
         return Given(
             frame.to_unit(points[at_surface]).to(like),
-            torch.nn.functional.normalize(normal[at_surface], dim=1).to(like),
+            normals[at_surface].to(like),
             frame.to_unit(near[inside]).to(like),
             (values[inside] / frame.scale).to(like),
             frame.to_unit(far).to(like),
@@ -331,13 +339,31 @@ def _gap(field: Placed, given: Given) -> float:
 
 
 @torch.no_grad()
-def _projected(field: Placed, x: Tensor, *, steps: int = 2) -> Tensor:
-    """Points brought to the zero set by Newton steps along the gradient."""
+def _projected(field: Placed, x: Tensor, *, steps: int = 2) -> tuple[Tensor, Tensor]:
+    """Points brought to the zero set by Newton steps along the gradient, and its unit normals there."""
     for _ in range(steps):
         jet = field.jet(x, order=1)
         step = (jet.value / gradient_norm(jet) ** 2)[:, None] * jet.gradient
         x = x - step.to(x)
-    return x
+    return x, normal(field.jet(x, order=1)).to(x)
+
+
+def _turned(mesh: Mesh, moved: Mesh, face: np.ndarray, normals: Tensor) -> Tensor:
+    """The unit normals that a motion of the vertices makes of normals at points of some faces.
+
+    On a face the motion takes its sides and its unit normal to those of the moved face: a linear map B, and normals
+    change by its inverse transposed. Where the moved face has no area they stay.
+    """
+
+    def frame(of: Mesh) -> np.ndarray:
+        corners = of.vertices[of.faces[face]]
+        return np.concatenate([corners[:, 1:] - corners[:, :1], np.asarray(of.face_normals)[face][:, None]], axis=1)
+
+    before, after = frame(mesh), frame(moved)
+    flat = np.abs(np.linalg.det(after)) <= 1e-6 * np.linalg.norm(after, axis=2).prod(1)
+    before[flat], after[flat] = np.eye(after.shape[-1]), np.eye(after.shape[-1])
+    turned = np.linalg.solve(after, np.einsum("nij,nj->ni", before, normals.numpy())[:, :, None])[:, :, 0]
+    return torch.nn.functional.normalize(torch.from_numpy(turned), dim=1)
 
 
 def _spread(mesh: Mesh, n: int, generator: torch.Generator) -> tuple[np.ndarray, np.ndarray]:

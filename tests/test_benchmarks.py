@@ -13,7 +13,9 @@ import torch
 from levelflow import SIREN, Box, Budget, Circle, Placed, Rectangle, Sampling, extract, fit
 from levelflow.conditions import Given
 from levelflow.equations import Eikonal, LevelSetEquation, MeanCurvature, Morph, Rotation, Source, Stationary, Transport
-from levelflow.shapes import PointCloud
+from levelflow.flows import Edit, edge_distortion
+from levelflow.handles import Handle, HandleWarning, SphereRegion
+from levelflow.shapes import PointCloud, Sphere
 from levelflow.shapes.implicit import Implicit
 from levelflow.suite import HALF_WAY
 from levelflow.suite.suite import along
@@ -31,11 +33,12 @@ def benchmark(name):
     return module
 
 
-grid, keyframes, recipe, features = (
+grid, keyframes, recipe, features, editing = (
     benchmark("grid"),
     benchmark("keyframes"),
     benchmark("recipe"),
     benchmark("features"),
+    benchmark("editing"),
 )
 EXACT = {"dtype": torch.float64}
 
@@ -276,3 +279,19 @@ def test_the_time_to_a_noise_is_linear_between_those_that_are_known():
     times, noises = [0.0, 1.0, 3.0], [0.5, 0.3, 0.1]
     assert features.when(times, noises, 0.5) == 0.0
     assert features.when(times, noises, 0.2) == pytest.approx(2.0)
+
+
+def test_libigl_takes_a_surface_whose_handles_turn_together_along_rigidly():
+    ball = extract(Sphere(0.5).distance, box=Box((-1.0,) * 3, (1.0,) * 3), resolution=12)
+    around = {"angle": 50.0, "axis": (0.0, 0.0, 1.0), "center": (0.1, 0.0, 0.0)}
+    handles = [Handle.rotate(SphereRegion((0.0, side, 0.0), 0.25), **around) for side in (0.5, -0.5)]
+    with pytest.warns(HandleWarning, match="all handles"):
+        edit = Edit(ball, handles)
+    after = editing.by_libigl(edit, steps=4)
+    assert edge_distortion(ball, after) < 1e-4
+    assert after.vertices == pytest.approx(handles[0].target(ball.vertices, 1.0), abs=1e-4)
+
+
+def test_the_edits_of_the_benchmark_have_regions_on_one_side_of_a_plane():
+    half = editing.beyond(1, -0.45, above=False)
+    assert (half.distance(np.array([[3.0, -0.5, -2.0], [0.0, -0.4, 0.0]])) > 0).tolist() == [False, True]

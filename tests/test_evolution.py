@@ -10,7 +10,7 @@ import torch
 
 from levelflow.boxes import Box
 from levelflow.conditions import Sampling
-from levelflow.evolution import NotFollowed, Step, Vanished, evolve
+from levelflow.evolution import NotFollowed, Step, Vanished, _turned, evolve
 from levelflow.extraction import extract
 from levelflow.fields import Field, Placed
 from levelflow.fitting import fit
@@ -19,7 +19,7 @@ from levelflow.keyframed import Keyframed
 from levelflow.minimising import Budget
 from levelflow.networks.siren import SIREN
 from levelflow.saving import load, save
-from levelflow.shapes import Circle, Rectangle
+from levelflow.shapes import Circle, Rectangle, Sphere
 from levelflow.shapes.mesh import Mesh
 
 BOX = Box((-1.5, -1.5), (1.5, 1.5))
@@ -191,3 +191,30 @@ def test_another_box_gives_the_motion_room(disc: Placed) -> None:
     assert (grown.box.lower, grown.box.upper) == (roomy.lower, roomy.upper)
     assert abs(radii(grown.at(0.0)) - 0.6).max() < 4e-3
     assert abs(radii(grown.at(0.1)) - 0.62).max() < 5e-3
+
+
+@pytest.mark.parametrize("space", [2, 3])
+def test_normals_change_as_those_of_the_moved_surface_do(space: int, generator: torch.Generator) -> None:
+    """Those of the faces become those of the moved faces, under any linear map, and all others turn in a rotation."""
+    map_ = torch.eye(space, dtype=torch.float64) + 0.3 * torch.rand(space, space, generator=generator).double()
+    shape = Circle(0.6) if space == 2 else Sphere(0.6)
+    mesh = extract(shape.distance, box=Box((-1.0,) * space, (1.0,) * space), resolution=12)
+    moved = Mesh(mesh.vertices @ map_.T.numpy(), mesh.faces)
+    normals = torch.nn.functional.normalize(torch.randn(20, space, generator=generator).double(), dim=1)
+    face = np.arange(20)
+    found = _turned(mesh, moved, face, torch.from_numpy(np.asarray(mesh.face_normals)[face].copy()))
+    assert found.numpy() == pytest.approx(np.asarray(moved.face_normals)[face], abs=1e-9)
+    turn = torch.linalg.qr(map_)[0]
+    turn[:, 0] *= torch.linalg.det(turn)
+    turned = Mesh(mesh.vertices @ turn.T.numpy(), mesh.faces)
+    assert _turned(mesh, turned, face, normals).numpy() == pytest.approx((normals @ turn.T).numpy(), abs=1e-9)
+    assert _turned(mesh, Mesh(0 * mesh.vertices, mesh.faces), face, normals).numpy() == pytest.approx(normals.numpy())
+
+
+def test_what_is_finer_than_the_mesh_stays() -> None:
+    """A flow that moves nothing, followed on a mesh of a cell that is as large as the corners are round."""
+    field = fitted(Rectangle((1.2, 0.8), radius=0.1))
+    still = Fixed(lambda mesh: np.zeros_like(mesh.vertices))
+    after = evolve(field, still, dt=1.0, steps=2, resolution=24, sampling=LITTLE)
+    before, now = (extract(f, resolution=200, refine=3) for f in (field, after.at(2.0)))
+    assert before.closest(now.vertices).distance.mean() < 1.5e-3

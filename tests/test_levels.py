@@ -85,7 +85,7 @@ STEPS = {
         ("analytic", "cloud", "combined", "implicit", "level", "mesh", "tabulated"),
     ),
     "suite": (("solids", "suite"), ("energies", "films"), ("cases",)),
-    "viewer": (("viewed",), ("packing",), ("frames",), ("page",), ("server",)),
+    "viewer": (("viewed",), ("packing",), ("frames",), ("editing",), ("page",), ("server",)),
 }
 LONGEST = 500
 VAGUE = {"base", "common", "helper", "helpers", "manager", "misc", "tools", "util", "utils"}

@@ -26,9 +26,11 @@ class Viewer {
     this.sliders();
     this.tools();
     this.pointer();
+    this.editing = null;
     addEventListener("resize", () => (this.place(), this.redraw()));
     addEventListener("keydown", (event) => this.key(event));
     this.place();
+    if (this.meta.editing) this.editing = new Editing(this);
     this.look();
   }
 
@@ -124,14 +126,20 @@ class Viewer {
   }
 
   draw({ resting = false } = {}) {
+    this.editing?.paint();
     const panes = this.panes.map((pane) => ({
       ...pane,
-      mesh: pane.shown?.mesh,
+      mesh: this.frameOf(pane)?.mesh,
       plane: $("contours").checked && this.cutOf(pane) && pane.shown?.position && pane.plane,
       spacing: this.spacing(pane) / pane.meta.scale,
     }));
     for (const pane of this.panes) if (pane.shown) pane.shown.used = performance.now();
     this.drawing.draw(panes, this.camera, { quantity: this.colour, range: this.range, cut: this.cut, resting });
+  }
+
+  // What is drawn: a frame, or the surface after an edit.
+  frameOf(pane) {
+    return this.editing && pane === this.editing.pane ? this.editing.frame : pane.shown;
   }
 
   // A curve in the plane has the level sets of its whole plane.
@@ -171,7 +179,8 @@ class Viewer {
       const faces = shown?.position ? `${(shown.index.length / 3).toLocaleString("en")} triangles` : "";
       const waits = !error && !pane.best();
       const kind = !pane.meta.times.length || !shown?.position ? "" : shown.resolution < this.meta.resolution ? " · preview" : "";
-      pane.state.textContent = waits ? "computing …" : faces + kind;
+      const edited = this.frameOf(pane) !== shown;
+      pane.state.textContent = edited ? "preview of the edit" : waits ? "computing …" : faces + kind;
       pane.note.textContent = error || shown?.note || "";
     }
     document.body.dataset.ready = String(this.panes.every((pane) => pane.best() || pane.error));
@@ -179,6 +188,7 @@ class Viewer {
     this.marks();
     this.colours();
     this.measured();
+    this.editing?.markers();
   }
 
   sliders() {
@@ -330,15 +340,14 @@ class Viewer {
   }
 
   pick(x, y) {
-    const pane = this.paneAt(x);
-    const { shown } = pane;
+    const pane = this.paneAt(x), shown = this.frameOf(pane);
     if (!shown?.position) return;
     const ray = this.camera.ray(x - pane.left, y, pane.width, $("stage").clientHeight);
     const half = pane.flat ? null : this.cut?.half;
-    const point = meet(ray, shown.position, shown.index, (p) => !half || dot(half, p) <= half[3]);
-    if (!point) return this.say("There is no surface under that point.");
+    const found = meet(ray, shown.position, shown.index, (p) => !half || dot(half, p) <= half[3]);
+    if (!found) return this.say("There is no surface under that point.");
     if (this.points.length === 2 || this.points[0]?.pane !== pane) this.points = [];
-    this.points.push({ pane, point });
+    this.points.push({ pane, point: found.point });
     if (this.points.length === 2) this.measure(false);
     this.redraw();
   }
@@ -373,10 +382,12 @@ class Viewer {
     const least = () => Math.min(this.panes[0].width, canvas.clientHeight);
     canvas.onpointerdown = (event) => {
       canvas.setPointerCapture(event.pointerId);
+      if (this.editing?.press(event)) return;
       down.set(event.pointerId, { x: event.offsetX, y: event.offsetY, travelled: 0 });
       canvas.classList.add("held");
     };
     canvas.onpointermove = (event) => {
+      if (this.editing?.drag(event)) return;
       const last = down.get(event.pointerId);
       if (!last) return;
       const [dx, dy] = [(event.offsetX - last.x) / least(), (event.offsetY - last.y) / least()];
@@ -392,16 +403,20 @@ class Viewer {
       this.redraw();
     };
     canvas.onpointerup = canvas.onpointercancel = (event) => {
+      if (this.editing?.lift()) return;
       const last = down.get(event.pointerId);
       down.delete(event.pointerId);
       if (!down.size) canvas.classList.remove("held");
-      if (event.type === "pointerup" && this.measuring && last?.travelled < 0.01) this.pick(event.offsetX, event.offsetY);
+      if (event.type !== "pointerup" || event.button !== 0 || !(last?.travelled < 0.01)) return;
+      if (this.measuring) this.pick(event.offsetX, event.offsetY);
+      else this.editing?.click(event.offsetX, event.offsetY);
     };
     canvas.oncontextmenu = (event) => event.preventDefault();
     canvas.addEventListener(
       "wheel",
       (event) => {
         event.preventDefault();
+        if (this.editing?.wheel(event)) return;
         this.camera.zoom(Math.exp(clamp(event.deltaY, -100, 100) / 400));
         this.redraw();
       },
@@ -410,7 +425,9 @@ class Viewer {
   }
 
   key(event) {
-    if (event.target.matches("input[type=text], select") || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.target.matches("input[type=text], select")) return;
+    if (this.editing?.key(event)) return event.preventDefault();
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
     const actions = {
       " ": () => this.play(),
       ArrowRight: () => this.step(1),
@@ -420,8 +437,8 @@ class Viewer {
       Escape: () => this.measure(false),
     };
     const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-    // Arrows on a slider of the cut are its own.
-    if (!action || (event.target.id === "offset" && event.key.startsWith("Arrow"))) return;
+    // Arrows on a slider of its own are for it.
+    if (!action || (["offset", "radius"].includes(event.target.id) && event.key.startsWith("Arrow"))) return;
     event.preventDefault();
     if (event.key.startsWith("Arrow") && this.playing) this.play();
     action();

@@ -35,8 +35,8 @@ LEVELS = (
 STEPS = {
     "cli": (
         ("names", "options"),
-        ("lifting", "masking", "retiming", "running", "showing", "taking", "viewing"),
-        ("families", "following"),
+        ("lifting", "masking", "retiming", "running", "showing", "taking"),
+        ("families", "following", "viewing"),
         ("commands",),
     ),
     "equations": (

@@ -197,9 +197,7 @@ class _Handler(BaseHTTPRequestHandler):
         """The type and the content of an answer to handles, whose text is the body of the request."""
         editing = self.server.editing
         if editing is None or path not in ("handles", "deformed"):
-            raise _Refused(
-                404, f"There is nothing to be written to {path!r} here; known with --handles are handles, deformed."
-            )
+            raise _Refused(404, f"There is nothing to send to {path!r}; with --handles known are handles, deformed.")
         if self.headers.get("Content-Type") != "application/json":
             raise _Refused(415, f"{path}: send handles as application/json.")
         length = self.headers.get("Content-Length", "")

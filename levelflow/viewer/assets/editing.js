@@ -423,7 +423,7 @@ class Editing {
       $("size").textContent = short(radius ?? 0, 3);
       if (document.activeElement !== $("naming")) $("naming").value = handle.name;
       $("naming").placeholder = `handle ${this.chosen + 1}`;
-      const shown = { hold: [], turn: [["°", handle.angle]], move: [..."xyz"].slice(0, flat ? 2 : 3).map((axis, k) => [axis, handle.by[k]]) }[handle.kind];
+      const shown = { hold: [], turn: [["angle °", handle.angle]], move: [..."xyz"].slice(0, flat ? 2 : 3).map((axis, k) => [axis, handle.by[k]]) }[handle.kind];
       if (!$("numbers").contains(document.activeElement) || this.grab)
         $("numbers").replaceChildren(...shown.map(([label, value]) => make("label", {}, label, make("input", { type: "text", inputMode: "decimal", value: short(value, 3), ariaLabel: `${handle.kind} ${label}` }))));
     }

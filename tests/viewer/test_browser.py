@@ -435,7 +435,7 @@ def test_handles_that_cannot_be_met_are_answered_on_the_page(edit):
     before = file.read_text()
     page.evaluate("viewer.editing.list = []")
     page.keyboard.press("Control+s")
-    page.wait_for_function("document.getElementById('message').textContent.includes('write a list that is not empty')")
+    page.wait_for_selector("#message:has-text('write a list that is not empty')")
     assert file.read_text() == before
 
 

@@ -238,9 +238,11 @@ class Editing {
 
   key(event) {
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key, { grab, handle } = this;
-    if (event.altKey) return false;
-    if (event.ctrlKey || event.metaKey) {
-      const actions = { z: () => this.go(event.shiftKey ? 1 : -1), y: () => this.go(1), s: () => this.save() };
+    const control = event.ctrlKey || event.metaKey, typing = event.target.matches("input[type=text], select");
+    if (event.altKey || (typing && !(control && key === "s"))) return false;
+    if (control) {
+      // What is being typed counts from when it is left.
+      const actions = { z: () => this.go(event.shiftKey ? 1 : -1), y: () => this.go(1), s: () => (document.activeElement.blur(), this.save()) };
       return key in actions && !grab ? (actions[key](), true) : false;
     }
     if (grab) {
@@ -409,7 +411,7 @@ class Editing {
         const remove = make("button", { type: "button", textContent: "×", title: "Delete", ariaLabel: `delete handle ${i + 1}` });
         choose.onclick = () => this.choose(i);
         remove.onclick = () => this.remove(i);
-        const wrong = new RegExp(`handle ${i + 1}\\b`).test(this.error);
+        const wrong = new RegExp(`handle ${i + 1}\\b`, "i").test(this.error);
         return make("li", { className: `${i === this.chosen ? "on" : ""} ${wrong ? "wrong" : ""}` }, choose, remove);
       }),
     );

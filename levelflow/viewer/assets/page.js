@@ -425,9 +425,8 @@ class Viewer {
   }
 
   key(event) {
-    if (event.target.matches("input[type=text], select")) return;
     if (this.editing?.key(event)) return event.preventDefault();
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.target.matches("input[type=text], select") || event.ctrlKey || event.metaKey || event.altKey) return;
     const actions = {
       " ": () => this.play(),
       ArrowRight: () => this.step(1),

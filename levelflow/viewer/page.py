@@ -63,6 +63,7 @@ def description(
                 "name": one.name,
                 "space": one.box.space,
                 "times": one.box.times,
+                "shares": one.shares,
                 "center": [*frame.center, 0.0][:3],
                 "scale": frame.scale,
                 "lower": _in_page(one.box.lower, frame),

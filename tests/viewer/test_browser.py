@@ -224,6 +224,45 @@ def test_fields_stand_side_by_side_with_one_camera(visit, serve):
     assert np.abs(moved[:, :half] - image[:, :half]).max() > 50 and np.abs(moved[:, half:] - image[:, half:]).max() > 50
 
 
+def mixture():
+    """Balls whose radius is 0.2 of a, 0.4 of b and 0.6 of c."""
+
+    def f(x, t):
+        return x.norm(dim=1) - 0.2 - 0.2 * t[:, 0] - 0.4 * t[:, 1]
+
+    field = Explicit(f, 3, 2, box=Box((-1.0,) * 3, (1.0,) * 3, ((0.0, 1.0), (0.0, 1.0))))
+    field.provenance = {"shares": ["a", "b", "c"]}
+    return field
+
+
+def test_shares_of_a_mixture_stay_shares(visit, serve):
+    page = visit(serve(ViewedField(mixture(), name="mixture")))
+    assert page.locator(".time b").all_inner_texts() == ["b", "c"]
+    first, second = page.locator(".time input[type=range]").all()
+    first.fill("24")
+    second.fill("36")
+    settle(page)
+    assert page.locator("body").get_attribute("data-time") == "0.25,0.75" and first.input_value() == "12"
+    assert page.locator(".label p").first.inner_text().endswith("a 0")
+    page.locator(".time input[type=text]").nth(1).fill("0.9")
+    page.keyboard.press("Enter")
+    settle(page)
+    assert page.locator("body").get_attribute("data-time") == "0.1,0.9"
+    second.fill("0")
+    settle(page)
+    assert page.locator("body").get_attribute("data-time") == "0.1,0"
+    # What is prepared is what will be shown.
+    shown = page.evaluate("[...viewer.panes[0].frames.values()].map((frame) => frame.values)")
+    assert len(shown) > 4 and all(b + c <= 1 + 1e-9 for b, c in shown)
+    assert page.evaluate(
+        "viewer.shares = ['a', 'b', 'c', 'd'], viewer.values = [0.5, 0.3, 0.2], viewer.moved(2, 0.6)"
+    ) == [
+        0.25,
+        0.15,
+        0.6,
+    ]
+
+
 def test_files_leave_by_buttons_and_what_is_wrong_is_said(visit, serve, monkeypatch):
     page = visit(serve(ViewedField(growing().at(0.0), name="ball"), resolution=16), errors=1)
     with page.expect_download() as download:

@@ -384,6 +384,8 @@ class Editing {
     $("keep").onclick = () => this.save();
     $("try").onclick = () => (this.look("after"), this.preview());
     $("copy").onclick = () => navigator.clipboard?.writeText($("command").firstChild.textContent).then(() => this.viewer.say("Copied."));
+    // Who turns to the tools has let go of what was dragged with a key.
+    $("tools").addEventListener("pointerdown", () => this.release(true));
     addEventListener("beforeunload", (event) => this.unsaved && event.preventDefault());
   }
 

@@ -21,6 +21,7 @@ class Viewer {
     Object.assign(this, { axis: 0, glance: 0, playing: 0, colour: "", range: [-1, 1], cut: null, points: [], measuring: false });
     this.swaps = []; // milliseconds that it took to show a frame that was there
     this.panes = this.meta.viewed.map((one, i) => new Pane(i, one, this));
+    this.shares = this.panes.map((pane) => pane.meta.shares).find((names) => names.length) ?? [];
     this.camera = new Camera(this.panes.every((pane) => pane.flat));
     this.labels();
     this.sliders();
@@ -52,9 +53,22 @@ class Viewer {
   // To a place of a slider, or to any value.
   go(axis, place, value = this.meta.times[axis][place]) {
     this.axis = axis;
-    this.places[axis] = place;
-    this.values[axis] = value;
+    this.values = this.moved(axis, value);
+    this.places = this.values.map((t, i) => (i === axis ? place : this.nearest(i, t)));
     this.look();
+  }
+
+  // All values when one of them changes. Shares of a mixture are at most 1 together: the others give way in proportion.
+  moved(axis, value) {
+    const number = this.shares.length - 1, values = this.values.with(axis, value);
+    const others = values.slice(0, number).reduce((sum, t, i) => (i === axis ? sum : sum + t), 0);
+    if (axis >= number || value + others <= 1) return values;
+    return values.map((t, i) => (i === axis || i >= number ? t : Number((((1 - value) * t) / others).toFixed(9))));
+  }
+
+  nearest(axis, value) {
+    const times = this.meta.times[axis];
+    return times.reduce((best, t, i) => (Math.abs(t - value) < Math.abs(times[best] - value) ? i : best), 0);
   }
 
   step(by) {
@@ -179,8 +193,9 @@ class Viewer {
       const faces = shown?.position ? `${(shown.index.length / 3).toLocaleString("en")} triangles` : "";
       const waits = !error && !pane.best();
       const kind = !pane.meta.times.length || !shown?.position ? "" : shown.resolution < this.meta.resolution ? " · preview" : "";
+      const rest = pane.meta.shares.length ? ` · ${pane.meta.shares[0]} ${short(Math.max(1 - pane.time().reduce((sum, t) => sum + t, 0), 0), 3)}` : "";
       const edited = this.frameOf(pane) !== shown;
-      pane.state.textContent = edited ? "preview of the edit" : waits ? "computing …" : faces + kind;
+      pane.state.textContent = edited ? "preview of the edit" : waits ? "computing …" : faces + kind + rest;
       pane.note.textContent = error || shown?.note || "";
     }
     document.body.dataset.ready = String(this.panes.every((pane) => pane.best() || pane.error));
@@ -193,7 +208,7 @@ class Viewer {
 
   sliders() {
     this.rows = this.meta.times.map((times, axis) => {
-      const name = this.meta.times.length > 1 ? `t${"₁₂₃₄₅₆₇₈₉"[axis] ?? axis + 1}` : "t";
+      const name = this.shares[axis + 1] ?? (this.meta.times.length > 1 ? `t${"₁₂₃₄₅₆₇₈₉"[axis] ?? axis + 1}` : "t");
       const play = make("button", { type: "button", className: "play", title: "Play (space)", innerHTML: PLAY });
       const range = make("input", { type: "range", min: 0, max: times.length - 1, step: 1, value: 0, ariaLabel: `time ${name}` });
       const ready = make("div", { className: "ready" }, ...times.map(() => make("i")));
@@ -212,7 +227,7 @@ class Viewer {
   type(axis, text) {
     const value = text.trim() === "" ? NaN : Number(text), times = this.meta.times[axis];
     if (!Number.isFinite(value)) return this.say(`“${text}” is not a number; type a time from ${short(times[0], 6)} to ${short(times.at(-1), 6)}.`);
-    const place = times.reduce((best, t, i) => (Math.abs(t - value) < Math.abs(times[best] - value) ? i : best), 0);
+    const place = this.nearest(axis, value);
     if (this.source instanceof EmbeddedSource && times[place] !== value) this.say(`This file has no t = ${value}; the nearest is shown.`);
     this.go(axis, place, this.source instanceof EmbeddedSource ? times[place] : value);
   }
@@ -226,7 +241,7 @@ class Viewer {
       const icon = this.playing && axis === this.axis ? PAUSE : PLAY;
       if (play.dataset.icon !== icon) play.innerHTML = play.dataset.icon = icon;
       [...ready.children].forEach((mark, i) => {
-        const values = this.values.with(axis, times[axis][i]);
+        const values = this.moved(axis, times[axis][i]);
         const name = this.panes.every((pane) => pane.has(resolution, values)) ? "fine" : this.panes.every((pane) => pane.has(preview, values)) ? "preview" : "";
         if (mark.className !== name) mark.className = name;
       });

@@ -233,6 +233,16 @@ def test_a_frame_that_nobody_waits_for_has_no_content(server, monkeypatch):
     assert ask(server, "frame?t=0")[::2] == (204, b"")
 
 
+@pytest.mark.parametrize(("error", "said"), [(ConnectionResetError, ""), (KeyError, "KeyError")])
+def test_a_browser_that_goes_away_is_no_error(server, capsys, error, said):
+    try:
+        raise error
+    except error:
+        server.handle_error(None, ("127.0.0.1", 1))
+    found = capsys.readouterr().err
+    assert said in found and bool(said) == bool(found)
+
+
 def test_what_cannot_be_served_is_refused(server):
     ball = ViewedField(growing(), name="ball")
     port = server.server_address[1]

@@ -33,7 +33,8 @@ class Server(ThreadingHTTPServer):
     """Serves the page and what it asks for, on 127.0.0.1.
 
     The path of every address starts with a random token, and requests in another name than that of this machine, or
-    from the pages of others, are refused: no other user and no other page can look.
+    from the pages of others, are refused: no other user and no other page can look. It writes nothing but handles that
+    were read as such, into the file of `editing`.
 
     Args:
         viewed: What to show, side by side.

@@ -422,7 +422,17 @@ def test_handles_move_along_axes_and_the_normal_and_turn(edit):
     page.keyboard.press("r")
     page.mouse.move(start[0] - 80, start[1])
     page.keyboard.press("Escape")
+    computed(page)
     assert listed(page)[1]["rotate"] == turn
+    # The surface as well is as it was before.
+    before = page.evaluate("[...viewer.editing.after.position]")
+    page.keyboard.press("g")
+    page.mouse.move(start[0] - 80, start[1] - 30)
+    page.wait_for_timeout(600)
+    page.keyboard.press("Escape")
+    computed(page)
+    assert page.evaluate("[...viewer.editing.after.position]") == before
+    assert page.locator("#kinds .on").inner_text() == "turn"
 
 
 def test_turns_one_after_the_other_are_one_turn(edit):
@@ -459,7 +469,7 @@ def test_radii_kinds_and_deletion(edit):
 
 def test_handles_that_cannot_be_met_are_answered_on_the_page(edit):
     high = {"region": {"sphere": {"center": [0, 0.5, 0], "radius": 0.98}}, "move": [0, 0.1, 0]}
-    page, file = edit(BOTTOM, high, errors=2)
+    page, file = edit(BOTTOM, high, errors=1)
     note = page.locator("#note")
     assert (
         note.inner_text().startswith("Handle 1 ('foot') and handle 2 both hold") and page.locator(".wrong").count() == 3
@@ -474,7 +484,7 @@ def test_handles_that_cannot_be_met_are_answered_on_the_page(edit):
     before = file.read_text()
     page.evaluate("viewer.editing.list = []")
     page.keyboard.press("Control+s")
-    page.wait_for_selector("#message:has-text('write a list that is not empty')")
+    page.wait_for_selector("#message:has-text('There are no handles; click the surface')")
     assert file.read_text() == before
 
 

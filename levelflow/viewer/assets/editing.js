@@ -3,6 +3,7 @@
 const KINDS = { move: [0.93, 0.53, 0.13], turn: [0.56, 0.36, 0.8], hold: [0.2, 0.48, 0.76] };
 const AXES = ["#cf3f36", "#5c9b2e", "#2f6fc4"]; // of x, y and z
 const NEAR = 12; // pixels around a marker that belong to it
+const unit = (k) => [0, 1, 2].map((j) => Number(j === k));
 const css = (rgb) => `rgb(${rgb.map((c) => Math.round(255 * c))})`;
 
 class Editing {
@@ -46,7 +47,7 @@ class Editing {
   // Colours on what the handles hold: for each vertex that of the nearest region, and how far it is.
   paint() {
     const { frame } = this;
-    if (!frame?.mesh || (frame.painted === this.painted && frame.painted)) return;
+    if (!frame?.mesh || (frame.coat === this.coat && frame.coat)) return;
     const rest = frame.rest ?? frame.position, tint = new Float32Array((4 * rest.length) / 3);
     const regions = this.list.map((handle, i) => {
       const dim = i === this.chosen ? 0 : 0.45;
@@ -63,11 +64,11 @@ class Editing {
       tint[4 * i + 3] = least;
     }
     this.viewer.drawing.tint(frame.mesh, tint);
-    frame.painted = this.painted ??= {};
+    frame.coat = this.coat ??= {};
   }
 
   repaint() {
-    this.painted = null;
+    this.coat = null;
     this.viewer.redraw();
   }
 
@@ -140,9 +141,10 @@ class Editing {
   begin(kind, x, y, modal = false) {
     const { handle } = this;
     if (!handle || !this.frame?.position) return false;
+    const before = { kind: handle.kind, by: handle.by, angle: handle.angle, axis: handle.axis, scale: handle.scale };
     if (kind !== "scale") handle.kind = kind;
-    const { by, angle, axis, scale } = handle, at = toPage(kind === "move" ? handle.place : handle.hub, this.pane.meta);
-    this.grab = { kind, modal, x, y, at, last: [x, y], turned: 0, letter: -1, normal: null, before: { by, angle, axis, scale } };
+    const at = toPage(kind === "move" ? handle.place : handle.hub, this.pane.meta);
+    this.grab = { kind, modal, x, y, at, last: [x, y], turned: 0, letter: -1, normal: null, before };
     $("canvas").classList.add("held");
     this.shown();
     return true;
@@ -158,14 +160,14 @@ class Editing {
     const { camera } = viewer, { back } = camera.axes, { before, at } = grab, center = this.project(at);
     if (!center) return true;
     if (grab.kind === "move") {
-      const axis = grab.letter >= 0 ? [0, 1, 2].map((k) => Number(k === grab.letter)) : event.shiftKey ? (grab.normal ??= this.normal(handle)) : null;
+      const axis = grab.letter >= 0 ? unit(grab.letter) : event.shiftKey ? (grab.normal ??= this.normal(handle)) : null;
       grab.axis = axis;
       handle.by = add(before.by, scaled(this.pane.meta.scale, axis ? this.along(axis, x, y) : sub(this.onPlane(x, y), this.onPlane(grab.x, grab.y))));
     } else if (grab.kind === "turn") {
       const way = ([u, v]) => Math.atan2(center[1] - v, u - center[0]), step = way([x, y]) - way(grab.last);
       grab.turned += step - 2 * Math.PI * Math.round(step / (2 * Math.PI));
       grab.last = [x, y];
-      const axis = grab.letter >= 0 ? [0, 1, 2].map((k) => Number(k === grab.letter)) : viewer.camera.flat ? [0, 0, 1] : back;
+      const axis = grab.letter >= 0 ? unit(grab.letter) : viewer.camera.flat ? [0, 0, 1] : back;
       const degrees = (Math.sign(dot(axis, back)) || 1) * ((180 * grab.turned) / Math.PI);
       [handle.axis, handle.angle] = composed([before.axis, before.angle], [axis, event.ctrlKey ? 5 * Math.round(degrees / 5) : degrees]);
     } else {
@@ -199,6 +201,8 @@ class Editing {
     this.grab = null;
     $("canvas").classList.remove("held");
     this.changed();
+    // The surface is still as it was dragged.
+    if (!keep) this.preview();
     return true;
   }
 
@@ -251,7 +255,8 @@ class Editing {
       else this.drag({ offsetX: this.mouse[0], offsetY: this.mouse[1], shiftKey: event.shiftKey });
       return true;
     }
-    if (key === "Tab" && this.live && this.after) return this.look(this.side === "after" ? "before" : "after"), true;
+    // From a button, Tab goes to the next one.
+    if (key === "Tab" && this.live && this.after && !event.target.closest("button, input")) return this.look(this.side === "after" ? "before" : "after"), true;
     if (!handle) return false;
     const actions = {
       g: () => this.begin("move", ...this.mouse, true),
@@ -314,8 +319,8 @@ class Editing {
   async save() {
     const text = this.text(), { file } = this.meta;
     try {
+      if (!this.list.length) throw new Error("There are no handles; click the surface to place one.");
       if (this.viewer.source.save) await this.viewer.source.save(text);
-      else if (!this.list.length) throw new Error("There are no handles; click the surface to place one.");
       else {
         const link = make("a", { href: URL.createObjectURL(new Blob([`${JSON.stringify(JSON.parse(text), null, 1)}\n`], { type: "application/json" })), download: file });
         link.click();
@@ -462,7 +467,7 @@ class Editing {
 
   pulled(handle, [x, y]) {
     const { grab } = this, center = this.project(grab.at);
-    const axis = grab.letter >= 0 ? [0, 1, 2].map((k) => Number(k === grab.letter)) : grab.kind === "move" && grab.axis;
+    const axis = grab.letter >= 0 ? unit(grab.letter) : grab.kind === "move" && grab.axis;
     let drawn = "";
     if (axis) {
       const [p, q] = [-3, 3].map((s) => this.project(add(grab.at, scaled(s, axis))));

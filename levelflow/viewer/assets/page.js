@@ -195,7 +195,7 @@ class Viewer {
       const kind = !pane.meta.times.length || !shown?.position ? "" : shown.resolution < this.meta.resolution ? " · preview" : "";
       const rest = pane.meta.shares.length ? ` · ${pane.meta.shares[0]} ${short(Math.max(1 - pane.time().reduce((sum, t) => sum + t, 0), 0), 3)}` : "";
       const edited = this.frameOf(pane) !== shown;
-      pane.state.textContent = edited ? "preview of the edit" : waits ? "computing …" : faces + kind + rest;
+      pane.state.textContent = edited ? `preview of the edit${this.editing.error && ", before the last change"}` : waits ? "computing …" : faces + kind + rest;
       pane.note.textContent = error || shown?.note || "";
     }
     document.body.dataset.ready = String(this.panes.every((pane) => pane.best() || pane.error));

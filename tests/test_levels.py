@@ -35,8 +35,8 @@ LEVELS = (
 STEPS = {
     "cli": (
         ("names", "options"),
-        ("lifting", "masking", "retiming", "running", "showing", "taking", "viewing"),
-        ("families", "following"),
+        ("lifting", "masking", "retiming", "running", "showing", "taking"),
+        ("families", "following", "viewing"),
         ("commands",),
     ),
     "equations": (
@@ -85,7 +85,7 @@ STEPS = {
         ("analytic", "cloud", "combined", "implicit", "level", "mesh", "tabulated"),
     ),
     "suite": (("solids", "suite"), ("energies", "films"), ("cases",)),
-    "viewer": (("viewed",), ("packing",), ("frames",), ("page",), ("server",)),
+    "viewer": (("viewed",), ("packing",), ("frames",), ("editing",), ("page",), ("server",)),
 }
 LONGEST = 500
 VAGUE = {"base", "common", "helper", "helpers", "manager", "misc", "tools", "util", "utils"}

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from levelflow._version import __version__
-from levelflow.cli.names import box_of, fingerprint, half_box, key_named
+from levelflow.cli.names import box_of, fingerprint, half_box, key_named, place_in
 from levelflow.cli.options import Depth, Device, Folder, Quiet, Resume, Seed, ShapeArgument, Width
 from levelflow.cli.running import Run, folder_for
 
@@ -67,6 +67,9 @@ def edit(
     shape: ShapeArgument,
     handles: Annotated[Path, typer.Option(help="What is held, moved and turned: a JSON file (docs/handles.md).")],
     output: Folder = None,
+    at: Annotated[
+        str | None, typer.Option("--time", help="When, for a field that moves: 0.5, or 0.5,0.2 for two parameters.")
+    ] = None,
     rigid: Annotated[
         str, typer.Option(help="blended, arap (as rigid as possible) or shell (the thin-shell system alone).")
     ] = "blended",
@@ -91,12 +94,13 @@ def edit(
     if rigid not in ways or count < 1:
         raise ValueError(f"edit --rigid {rigid} --count {count}: known are {', '.join(ways)}, in one step or more.")
     run = Run(steps, None, seed, device, quiet, resume, width, depth)
-    key = key_named(shape)
-    asked = handles_from(handles)
+    key = _still(shape, at)
+    box, asked = box_of(key), handles_from(handles)
     if isinstance(key, Mesh):
-        flows.Edit(key, asked)  # says what is wrong with the handles before anything is trained
-    following = Following(run, "edit", shape, output, {"handles": handles.read_text(), "rigid": rigid, "count": count})
-    box = box_of(key)
+        # Says what is wrong with the handles before anything is trained.
+        flows.Edit(extract(key.distance, box=box.expanded(0.05 * max(box.size)), resolution=resolution), asked)
+    settings = {"handles": handles.read_text(), "rigid": rigid, "count": count, "time": at}
+    following = Following(run, "edit", shape, output, settings)
     field = following.begun(key, box.expanded(0.125 * max(box.size)))
     surface = extract(field if not field.times else field.at(0.0), resolution=resolution, refine=2)
     moving = flows.Edit(surface, asked, densify=ways[rigid]())
@@ -145,6 +149,7 @@ class Following:
         """The evolution that there is, the field that a shape is, or one fitted to it in a box."""
         from levelflow.fields import Placed
         from levelflow.fitting import fit
+        from levelflow.networks import SIREN
         from levelflow.progress import Bar
         from levelflow.saving import load
 
@@ -154,7 +159,7 @@ class Following:
             if not isinstance(field, Placed) or made != json.loads(json.dumps(self.settings)):
                 raise ValueError(f"--resume: {self.file} was made with {made}, and now it is {self.settings}.")
             return field
-        if isinstance(key, Placed):
+        if isinstance(key, Placed) and isinstance(key.field, SIREN):
             return key
         with Bar(f"fitting {self.shape}", quiet=self.run.quiet) as bar:
             return fit(
@@ -207,6 +212,19 @@ class Following:
         meshes = sum(frame.mesh is not None for frame in frames)
         self.run.say(f"{self.folder}: field.safetensors, {meshes} meshes, frames.png, report.json")
         return frames
+
+
+def _still(shape: str, time: str | None) -> Key:
+    """What an edit starts from: a shape, or a field at a time."""
+    from levelflow.saving import load
+
+    if Path(shape).suffix.lower() == ".safetensors":
+        field = load(shape)
+        place = place_in(time, field, f"edit {shape}")
+        return field.at(*place) if place else field
+    if time is not None:
+        raise ValueError(f"edit {shape} --time {time}: a shape stands still; leave --time out.")
+    return key_named(shape)
 
 
 def flow_named(text: str, rate: float | None, unit: float) -> Flow:

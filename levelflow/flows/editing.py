@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 
@@ -107,8 +107,12 @@ class Edit(Flow):
             if mine.any()
         ]
 
-    def deformed(self, *, steps: int) -> Mesh:
+    def deformed(self, *, steps: int, on_step: Callable[[Mesh], None] = lambda _: None) -> Mesh:
         """The surface itself after the whole edit in equal steps, with no field and no new mesh.
+
+        Args:
+            steps: Their number.
+            on_step: Called with the mesh after each step; it may raise to end the work.
 
         Raises:
             ValueError: If there are no steps.
@@ -119,6 +123,7 @@ class Edit(Flow):
         for step in range(steps):
             x = mesh.vertices + self.displacement(mesh, 1 / steps, time=step / steps)
             mesh = Mesh(x, mesh.faces, frame=mesh.frame, name=mesh.name)
+            on_step(mesh)
         return mesh
 
     def _held(self, handle: Handle, x: Float[np.ndarray, "n d"], time: float) -> Bool[np.ndarray, " n"]:

@@ -34,22 +34,32 @@ def handles_from(path: str | Path) -> tuple[Handle, ...]:
     if path.is_dir():
         raise ValueError(f"handles_from: {str(path)!r} is a folder; give the path of a JSON file in it.")
     try:
-        found = json.loads(
-            path.read_text(encoding="utf-8-sig"),
-            object_pairs_hook=_without_doubles,
-            parse_int=float,
-            parse_constant=_not_finite,
-        )
+        text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise ValueError(f"{where} is not text in UTF-8; a JSON file of handles is wanted.") from None
+    return _read(text, path.parent, where)
+
+
+def handles_in(text: str, *, folder: str | Path) -> tuple[Handle, ...]:
+    """The handles that the text of such a file describes; files of paint are looked for in the folder.
+
+    Raises:
+        FileNotFoundError: If there is no file of paint that it names.
+        ValueError: If it holds anything else, as for `handles_from`.
+    """
+    return _read(text, Path(folder), "handles_in: the text")
+
+
+def _read(text: str, folder: Path, where: str) -> tuple[Handle, ...]:
+    try:
+        found = json.loads(text, object_pairs_hook=_without_doubles, parse_int=float, parse_constant=_not_finite)
+        described = _list(_keys(found, required=("handles",))["handles"], "handles")
     except json.JSONDecodeError as error:
         raise ValueError(
             f"{where} is not valid JSON: {error.msg} in line {error.lineno}, column {error.colno}."
         ) from None
-    except _Wrong as wrong:
-        raise ValueError(f"{where}: {wrong}") from None
-    try:
-        described = _list(_keys(found, required=("handles",))["handles"], "handles")
+    except RecursionError:
+        raise ValueError(f"{where} is nested too deeply; handles are at most five levels deep.") from None
     except _Wrong as wrong:
         raise ValueError(f"{where}: {wrong}") from None
     handles: list[Handle] = []
@@ -57,7 +67,7 @@ def handles_from(path: str | Path) -> tuple[Handle, ...]:
         name = item.get("name") if isinstance(item, dict) else None
         title = f"handle {number}" + (f" ({name!r})" if isinstance(name, str) else "")
         try:
-            handle = _handle(item, path.parent)
+            handle = _handle(item, folder)
             if handle.name and handle.name in [other.name for other in handles]:
                 raise _Wrong(f"`name` is {handle.name!r}, as for another handle. Give each a name of its own.")
         except (_Wrong, ValueError, FileNotFoundError) as error:
@@ -133,6 +143,8 @@ def _painted(value: object, folder: Path) -> Region:
     for key in ("file", "property"):
         if not isinstance(paint[key], str):
             raise _Wrong(f"`region.painted.{key}` is {_shown(paint[key])}; write a text.")
+    if Path(paint["file"]).is_absolute() or ".." in Path(paint["file"]).parts:
+        raise _Wrong(f"`region.painted.file` is {_shown(paint['file'])}; name a file next to the JSON file.")
     return PaintedRegion.read(
         folder / paint["file"],
         paint["property"],

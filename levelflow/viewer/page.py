@@ -16,11 +16,12 @@ import numpy as np
 from levelflow._version import __version__
 from levelflow.boxes import Frame
 from levelflow.extraction import EmptyLevelSet
+from levelflow.viewer.editing import Editing
 from levelflow.viewer.frames import shared_frames
 from levelflow.viewer.packing import pack
 from levelflow.viewer.viewed import Viewed
 
-SCRIPTS = ("mathematics.js", "frames.js", "drawing.js", "panes.js", "page.js")
+SCRIPTS = ("mathematics.js", "frames.js", "drawing.js", "panes.js", "handles.js", "editing.js", "page.js")
 # Values of f on a grid, for the level sets on the clipping plane of a page that has nobody to ask.
 _GRID = 40
 
@@ -44,9 +45,14 @@ def page(meta: dict[str, Any], *, frames: dict[str, Any] | None = None) -> str:
 
 
 def description(
-    viewed: Sequence[Viewed], times: Sequence[Sequence[float]], *, resolution: int, preview: int
+    viewed: Sequence[Viewed],
+    times: Sequence[Sequence[float]],
+    *,
+    resolution: int,
+    preview: int,
+    editing: Editing | None = None,
 ) -> dict[str, Any]:
-    """What the page has to know: what is shown, in which units, and the values of each slider."""
+    """What the page has to know: what is shown, in which units, the values of each slider, and handles."""
     return {
         "version": __version__,
         "resolution": resolution,
@@ -57,6 +63,7 @@ def description(
                 "name": one.name,
                 "space": one.box.space,
                 "times": one.box.times,
+                "shares": one.shares,
                 "center": [*frame.center, 0.0][:3],
                 "scale": frame.scale,
                 "lower": _in_page(one.box.lower, frame),
@@ -65,6 +72,7 @@ def description(
             }
             for one, frame in zip(viewed, shared_frames([one.box for one in viewed]), strict=True)
         ],
+        "editing": editing.description() if editing is not None else None,
     }
 
 
@@ -86,6 +94,7 @@ def standalone(
     times: Sequence[float],
     *,
     resolution: int = 64,
+    editing: Editing | None = None,
     on_frame: Callable[[Viewed, float | None], None] | None = None,
 ) -> str:
     """A document with the surfaces at some times in it, which needs no server and no network.
@@ -96,6 +105,7 @@ def standalone(
         viewed: What to show, of at most one time each.
         times: When; each is shown at those in its interval, and what stands still at all of them.
         resolution: Cells along the longest side of the box.
+        editing: The handles of the first, which then can be placed and saved, but deform nothing.
         on_frame: Called for each frame that is in.
 
     Raises:
@@ -125,7 +135,7 @@ def standalone(
         packed.append(mine)
     if not found:
         raise EmptyLevelSet(f"standalone: there is no surface at any of the times {times}; ask for others.")
-    meta = description(viewed, [times] if times else [], resolution=resolution, preview=resolution)
+    meta = description(viewed, [times] if times else [], resolution=resolution, preview=resolution, editing=editing)
     return page(meta, frames={"grid": _GRID, "packed": packed})
 
 

@@ -5,36 +5,43 @@ from __future__ import annotations
 import json
 import os
 import secrets
+import sys
 import tempfile
 import threading
 import urllib.parse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from levelflow.extraction import EmptyLevelSet
+from levelflow.viewer.editing import STEPS, Editing
 from levelflow.viewer.frames import Frames, Glance, Rank, Superseded
+from levelflow.viewer.packing import pack
 from levelflow.viewer.page import description, page, sliders
 from levelflow.viewer.viewed import Viewed
 
 FORMATS = ("ply", "stl", "glb", "usdc")
 _LARGEST_PLANE = 512
 _FINEST = 1024
+_LONGEST_TEXT = 4 << 20
 
 
 class Server(ThreadingHTTPServer):
     """Serves the page and what it asks for, on 127.0.0.1.
 
     The path of every address starts with a random token, and requests in another name than that of this machine, or
-    from the pages of others, are refused: no other user and no other page can look.
+    from the pages of others, are refused: no other user and no other page can look. It writes nothing but handles that
+    were read as such, into the file of `editing`.
 
     Args:
         viewed: What to show, side by side.
         port: The port; 0 takes a free one.
         resolution: Cells along the longest side of the box for a frame that is looked at.
         preview: The same for a frame on the way to it.
+        editing: The handles of the first of what is viewed, if the page is to edit them.
 
     Attributes:
         url: The address of the page.
@@ -48,7 +55,15 @@ class Server(ThreadingHTTPServer):
     daemon_threads = True
     allow_reuse_address = os.name == "posix"
 
-    def __init__(self, viewed: Sequence[Viewed], *, port: int = 0, resolution: int = 128, preview: int = 64) -> None:
+    def __init__(
+        self,
+        viewed: Sequence[Viewed],
+        *,
+        port: int = 0,
+        resolution: int = 128,
+        preview: int = 64,
+        editing: Editing | None = None,
+    ) -> None:
         if not viewed:
             raise ValueError("Server(viewed=[]): there is nothing to show; give a field or a mesh.")
         if not 2 <= preview <= resolution <= _FINEST:
@@ -64,15 +79,16 @@ class Server(ThreadingHTTPServer):
                 "choose another port, or leave it out and a free one is taken."
             ) from None
         self.viewed, self.resolution, self.preview = tuple(viewed), resolution, preview
-        self.frames = Frames(viewed)
+        self.frames, self.editing = Frames(viewed), editing
         self.times = sliders(viewed)
         self.token = secrets.token_urlsafe(16)
         self.url = f"http://127.0.0.1:{self.server_address[1]}/{self.token}/"
-        self.document = page(self.description()).encode()
 
     def description(self) -> dict:
         """What the page has to know."""
-        return description(self.viewed, self.times, resolution=self.resolution, preview=self.preview)
+        return description(
+            self.viewed, self.times, resolution=self.resolution, preview=self.preview, editing=self.editing
+        )
 
     def check_surface(self) -> None:
         """Computes the first frames, before anybody asks for them.
@@ -98,6 +114,11 @@ class Server(ThreadingHTTPServer):
         thread.start()
         return thread
 
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Says what went wrong with a connection, but for a browser that has gone away."""
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)
+
     def close(self) -> None:
         """Ends a server that was started."""
         self.shutdown()
@@ -122,9 +143,17 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answers with what is asked for, or with a sentence that says why not."""
+        self._respond(self._answer)
+
+    def do_POST(self) -> None:
+        """Answers to handles: deforms the surface, or puts them in their file."""
+        # What is not read of a request would be taken for the next one.
+        self.close_connection = True
+        self._respond(self._edited)
+
+    def _respond(self, answer: Callable[[str, dict[str, str]], tuple[str, bytes]]) -> None:
         try:
-            path, query = self._checked()
-            kind, body = self._answer(path, query)
+            kind, body = answer(*self._checked())
             self._send(200, kind, body)
         except Superseded:
             self._send(204, "application/octet-stream", b"")
@@ -134,6 +163,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_error(400, str(error))
         except ConnectionError:
             self.close_connection = True
+        except OSError as error:
+            self._send_error(400, str(error))
 
     def log_message(self, format: str, *args: object) -> None:
         """Nothing is written down."""
@@ -155,7 +186,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(self, path: str, query: dict[str, str]) -> tuple[str, bytes]:
         """The type and the content of an answer."""
         if path == "":
-            return "text/html; charset=utf-8", self.server.document
+            return "text/html; charset=utf-8", page(self.server.description()).encode()
         if path == "meta":
             return "application/json", json.dumps(self.server.description()).encode()
         answers = {"frame": self._frame, "plane": self._plane, "export": self._export}
@@ -169,6 +200,27 @@ class _Handler(BaseHTTPRequestHandler):
         if not 0 <= i < len(self.server.viewed):
             raise ValueError(f"{path}?field={i}: there are {len(self.server.viewed)} fields, numbered from 0.")
         return "application/octet-stream", answers[path](query, i, time)
+
+    def _edited(self, path: str, query: dict[str, str]) -> tuple[str, bytes]:
+        """The type and the content of an answer to handles, whose text is the body of the request."""
+        editing = self.server.editing
+        if editing is None or path not in ("handles", "deformed"):
+            raise _Refused(404, f"There is nothing to send to {path!r}; with --handles known are handles, deformed.")
+        if self.headers.get("Content-Type") != "application/json":
+            raise _Refused(415, f"{path}: send handles as application/json.")
+        length = self.headers.get("Content-Length", "")
+        if not length.isdecimal() or int(length) > _LONGEST_TEXT:
+            raise _Refused(413, f"{path}: send at most {_LONGEST_TEXT} bytes, and say how many.")
+        try:
+            text = self.rfile.read(int(length)).decode()
+        except UnicodeDecodeError:
+            raise ValueError(f"{path}: send handles as text in UTF-8.") from None
+        if path == "handles":
+            editing.save(text)
+            return "application/json", json.dumps({"saved": str(editing.file)}).encode()
+        steps = _whole(query, "steps", STEPS, 1, STEPS)
+        surface = editing.deformed(text, way=query.get("way", "blended"), steps=steps, page=query.get("page", ""))
+        return "application/octet-stream", pack(surface, self.server.frames.frames[0])
 
     def _frame(self, query: dict[str, str], i: int, time: tuple[float, ...]) -> bytes:
         resolution = _whole(query, "resolution", self.server.preview, 2, _FINEST)

@@ -76,11 +76,14 @@ class Viewed(ABC):
         name: What the page calls it.
         box: Where it is, and the interval of each time or parameter.
         quantities: What its surfaces can be coloured by.
+        shares: The shapes of which its surfaces are mixtures, if they are; its parameters are the shares of all but the
+            first, and their sum is at most 1.
     """
 
     name: str
     box: Box
     quantities: tuple[Quantity, ...]
+    shares: tuple[str, ...] = ()
 
     @abstractmethod
     def surface(self, time: Sequence[float], *, resolution: int, pause: Callable[[], None] = lambda: None) -> Surface:
@@ -127,7 +130,10 @@ class ViewedField(Viewed):
         if field.box is None:
             raise ValueError(f"ViewedField({name!r}): the field has no box; give one that is Placed.")
         self.field, self.name, self.box = field, name, field.box
-        known = equation if equation is not None else equation_of(getattr(field, "provenance", {}))
+        provenance = getattr(field, "provenance", {})
+        mixed = tuple(provenance.get("shares", ()))
+        self.shares = mixed if len(mixed) == field.times + 1 else ()
+        known = equation if equation is not None else equation_of(provenance)
         self.equation = known if isinstance(known, LevelSetEquation) else None
         moving = (SPEED,) if field.times == 1 else ()
         solved = (RESIDUAL,) if field.times == 1 and self.equation is not None else ()

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from levelflow import SIREN, Box, Budget, Sampling, Sphere, fit, load, save
+from levelflow.cli.following import Following
 from levelflow.saving import describe
 
 pytestmark = pytest.mark.filterwarnings("default")
@@ -66,6 +67,34 @@ def test_a_handle_pulls_a_ball(run, here, ball):
     top = field.at(1.0)(torch.tensor([[0.0, 0.0, 0.6], [0.0, 0.0, -0.4]], dtype=torch.float64))
     assert top.abs().max() < 0.03
     assert field.box.upper[2] > 0.6
+
+
+def test_an_evolution_is_edited_at_a_time(run, here, ball):
+    run("lift", ball, "-o", "moving.safetensors", "--times=0:1")
+    options = ("--handles", handles(here, HELD, TOP), "--count", 1, *OPTIONS, "-o", "out")
+    code, _, err = run("edit", "moving.safetensors", *options)
+    assert code == 2 and "edit moving.safetensors: the field moves from t = 0 to 1; say when with --time 0.5" in err
+    code, out, err = run("edit", "moving.safetensors", "--time", "0.5", *options)
+    assert code == 0 and "handles met within" in out and "fitting" not in err, err
+    code, _, err = run("edit", "sphere", "--time", "0.5", *options)
+    assert code == 2 and "edit sphere --time 0.5: a shape stands still" in err
+
+
+def test_handles_take_hold_of_few_large_triangles(run, here, monkeypatch):
+    def begun(*_):
+        raise ValueError("the handles are good")
+
+    monkeypatch.setattr(Following, "begun", begun)
+    # No vertex of the box lies in the middle of its top; of the surface that is edited many do.
+    corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    sides = ["4 0 1 3 2", "4 4 6 7 5", "4 0 4 5 1", "4 2 3 7 6", "4 0 2 6 4", "4 1 5 7 3"]
+    (here / "box.off").write_text("\n".join(["OFF", "8 6 0", *("{} {} {}".format(*c) for c in corners), *sides]))
+    top = {"region": {"sphere": {"center": [0.5, 0.5, 1], "radius": 0.2}}, "move": [0, 0, 0.1]}
+    _, _, err = run("edit", "box.off", "--handles", handles(here, top), *OPTIONS)
+    assert "the handles are good" in err
+    far = {"region": {"sphere": {"center": [5, 5, 5], "radius": 0.2}}, "move": [0, 0, 0.1]}
+    code, _, err = run("edit", "box.off", "--handles", handles(here, far), *OPTIONS)
+    assert code == 2 and "the region of handle 1 holds no vertex" in err
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """`levelflow view` as a user meets it: the page of a server, a page in a file, and what is answered to wrong use."""
 
+import json
 import re
 import socket
 import threading
@@ -90,6 +91,44 @@ def test_a_page_is_written_to_a_file(run, here):
 
 
 @pytest.mark.parametrize(
+    ("arguments", "command"),
+    [
+        (("still.safetensors",), "levelflow edit still.safetensors --handles 'my handles.json' -o still-edit"),
+        (("ball.ply",), "levelflow edit ball.ply --handles 'my handles.json' -o ball-edit"),
+        (("sphere",), "levelflow edit sphere --handles 'my handles.json' -o sphere-edit"),
+        (
+            ("moving.safetensors", "--time", "0.5"),
+            "levelflow edit moving.safetensors --handles 'my handles.json' --time 0.5 -o moving-edit",
+        ),
+    ],
+)
+def test_the_page_edits_handles_and_says_the_command(run, here, arguments, command):
+    handle = {"region": {"sphere": {"center": [0, 0, 5], "radius": 1}}, "freeze": True}
+    (here / "my handles.json").write_text(json.dumps({"handles": [handle]}))
+    common = ("--handles", "my handles.json", "--html", "out.html", "--resolution", 16)
+    code, out, err = run("view", *arguments, *common)
+    assert code == 0 and "no motion" in out, err
+    text = (here / "out.html").read_text("utf-8")
+    meta = json.loads(re.search('id="meta">(.*?)</script>', text)[1])
+    assert meta["editing"]["command"] == command and meta["editing"]["handles"] == [handle]
+    assert meta["viewed"][0]["times"] == []
+
+
+def test_handles_are_served_with_the_page(run, here, monkeypatch):
+    seen = []
+
+    def served(self):
+        seen.append(self.editing)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("socketserver.BaseServer.serve_forever", served)
+    code, _, err = run("view", "still.safetensors", "--handles", "new.json", "--no-open")
+    assert code == 0, err
+    assert seen[0].description()["handles"] == [] and not (here / "new.json").exists()
+    assert np.allclose(np.linalg.norm(seen[0].surface.vertices, axis=1), 5, atol=0.3)
+
+
+@pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
         (("moving.safetensors", "--times", "0"), 2, "name a file with --html as well"),
@@ -110,6 +149,12 @@ def test_a_page_is_written_to_a_file(run, here):
         (("pair.safetensors", "--html", "a.html"), 2, r"has 2 parameters, .* show a Walk through them \(--path\)"),
         (("pair.safetensors", "--html", "a.html", "--path", "0:1"), 2, "give two corners or more"),
         (("ball.ply", "--path", "0:1"), 2, "nothing of what is given moves; leave --path out"),
+        (("ball.ply", "--time", "0"), 2, "the page in the browser has a slider; name a file with --handles as well"),
+        (("ball.ply", "ball.ply", "--handles", "h.json"), 2, "handles are placed on one surface; give one shape"),
+        (("ball.ply", "--handles", "h.json", "--time", "0"), 2, "a mesh stands still; leave --time out"),
+        (("moving.safetensors", "--handles", "h.json"), 2, "the field moves from t = 0 to 1; say when with --time 0.5"),
+        (("ball.ply", "--handles", "none/h.json"), 2, "there is no folder 'none'; make it first"),
+        (("ball.ply", "--handles", "cloud.xyz"), 2, "handles_from: 'cloud.xyz' is not valid JSON"),
         (("ball.ply", "--html", "none/a.html"), 2, "there is no folder 'none'; make it first"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",

@@ -210,6 +210,21 @@ def test_bodies_without_a_handle_are_warned_of_and_stay() -> None:
     assert after.vertices[:n, 2].max() == pytest.approx(2)
 
 
+def test_an_edit_says_how_far_it_is_and_can_be_ended() -> None:
+    seen: list[Mesh] = []
+
+    def on_step(mesh: Mesh) -> None:
+        seen.append(mesh)
+        if len(seen) > 2:
+            raise StopIteration
+
+    edit = Edit(tube(), twist(90))
+    assert edit.deformed(steps=2, on_step=on_step) is seen[1] and seen[0] is not seen[1]
+    with pytest.raises(StopIteration):
+        edit.deformed(steps=2, on_step=on_step)
+    assert len(seen) == 3
+
+
 def test_bad_edits_are_refused() -> None:
     with pytest.raises(ValueError, match="Edit: there are no handles"):
         Edit(tube(), [])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from levelflow.boxes import Box
-from levelflow.handles import BoxRegion, Handle, PaintedRegion, PointsRegion, SphereRegion, handles_from
+from levelflow.handles import BoxRegion, Handle, PaintedRegion, PointsRegion, SphereRegion, handles_from, handles_in
 from tests.handles.test_regions import ply
 
 DOCUMENT = Path(__file__).resolve().parent.parent.parent / "docs" / "handles.md"
@@ -115,12 +115,31 @@ def test_files_that_hold_no_handles(tmp_path: Path, content: object, message: st
             {"region": {"painted": {"file": 1, "property": "red"}}, "freeze": True},
             "`region.painted.file` is 1.0; write",
         ),
+        (
+            {"region": {"painted": {"file": "../a.ply", "property": "red"}}, "freeze": True},
+            '`region.painted.file` is "../a.ply"; name a file next to the JSON file',
+        ),
+        (
+            {"region": {"painted": {"file": "/a.ply", "property": "red"}}, "freeze": True},
+            '`region.painted.file` is "/a.ply"; name a file next to the JSON file',
+        ),
     ],
 )
 def test_wrong_handles_are_named_with_what_to_write(tmp_path: Path, handle: object, message: str) -> None:
     good = {"region": BALL, "freeze": True, "name": "other"}
     with pytest.raises(ValueError, match=f"^handles_from: 'edit.json', handle 2: .*{message}"):
         handles_from(written(tmp_path, {"handles": [good, handle]}))
+
+
+def test_a_text_is_read_like_a_file(tmp_path: Path) -> None:
+    ply(tmp_path / "head.ply", "x y z red", [(0, 0, 0, 1), (1, 0, 0, 0)])
+    paint = {"region": {"painted": {"file": "head.ply", "property": "red"}}, "freeze": True}
+    first, second = handles_in(json.dumps({"handles": [{"region": BALL, "freeze": True}, paint]}), folder=tmp_path)
+    assert first == Handle.fix(SphereRegion((0, 0, 1), 0.5)) and isinstance(second.region, PaintedRegion)
+    with pytest.raises(ValueError, match="^handles_in: the text, handle 1: it has no 'region'"):
+        handles_in('{"handles": [{"freeze": true}]}', folder=tmp_path)
+    with pytest.raises(ValueError, match="^handles_in: the text is nested too deeply"):
+        handles_in("[" * 100_000, folder=tmp_path)
 
 
 def test_names_are_said_and_used_once(tmp_path: Path) -> None:

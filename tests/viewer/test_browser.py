@@ -1,6 +1,7 @@
 """The page as a browser shows it: a real Chromium without a window, which asks nobody but this machine."""
 
 import io
+import json
 import os
 import shutil
 import sys
@@ -9,7 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from levelflow import Box
+from levelflow import Box, extract
+from levelflow.handles import handles_from
+from levelflow.viewer.editing import Editing
 from levelflow.viewer.page import standalone
 from levelflow.viewer.server import Server
 from levelflow.viewer.viewed import ViewedField
@@ -59,8 +62,8 @@ def visit(browser):
 def serve():
     servers = []
 
-    def start(*viewed, resolution=24):
-        server = Server(viewed, resolution=resolution, preview=16)
+    def start(*viewed, resolution=24, editing=None):
+        server = Server(viewed, resolution=resolution, preview=16, editing=editing)
         server.start()
         servers.append(server)
         return server.url
@@ -221,6 +224,45 @@ def test_fields_stand_side_by_side_with_one_camera(visit, serve):
     assert np.abs(moved[:, :half] - image[:, :half]).max() > 50 and np.abs(moved[:, half:] - image[:, half:]).max() > 50
 
 
+def mixture():
+    """Balls whose radius is 0.2 of a, 0.4 of b and 0.6 of c."""
+
+    def f(x, t):
+        return x.norm(dim=1) - 0.2 - 0.2 * t[:, 0] - 0.4 * t[:, 1]
+
+    field = Explicit(f, 3, 2, box=Box((-1.0,) * 3, (1.0,) * 3, ((0.0, 1.0), (0.0, 1.0))))
+    field.provenance = {"shares": ["a", "b", "c"]}
+    return field
+
+
+def test_shares_of_a_mixture_stay_shares(visit, serve):
+    page = visit(serve(ViewedField(mixture(), name="mixture")))
+    assert page.locator(".time b").all_inner_texts() == ["b", "c"]
+    first, second = page.locator(".time input[type=range]").all()
+    first.fill("24")
+    second.fill("36")
+    settle(page)
+    assert page.locator("body").get_attribute("data-time") == "0.25,0.75" and first.input_value() == "12"
+    assert page.locator(".label p").first.inner_text().endswith("a 0")
+    page.locator(".time input[type=text]").nth(1).fill("0.9")
+    page.keyboard.press("Enter")
+    settle(page)
+    assert page.locator("body").get_attribute("data-time") == "0.1,0.9"
+    second.fill("0")
+    settle(page)
+    assert page.locator("body").get_attribute("data-time") == "0.1,0"
+    # What is prepared is what will be shown.
+    shown = page.evaluate("[...viewer.panes[0].frames.values()].map((frame) => frame.values)")
+    assert len(shown) > 4 and all(b + c <= 1 + 1e-9 for b, c in shown)
+    assert page.evaluate(
+        "viewer.shares = ['a', 'b', 'c', 'd'], viewer.values = [0.5, 0.3, 0.2], viewer.moved(2, 0.6)"
+    ) == [
+        0.25,
+        0.15,
+        0.6,
+    ]
+
+
 def test_files_leave_by_buttons_and_what_is_wrong_is_said(visit, serve, monkeypatch):
     page = visit(serve(ViewedField(growing().at(0.0), name="ball"), resolution=16), errors=1)
     with page.expect_download() as download:
@@ -250,3 +292,228 @@ def test_a_file_needs_no_server(visit, tmp_path):
     with page.expect_download() as download:
         page.click("#formats button:text('PLY')")
     assert (tmp_path / download.value.suggested_filename).name == "two_t=0.5.ply"
+
+
+BOTTOM = {"name": "foot", "region": {"box": {"lower": [-1, -1, -1], "upper": [1, -0.3, 1]}}, "freeze": True}
+
+
+@pytest.fixture
+def edit(visit, serve, tmp_path):
+    """Opens the page of a ball of the radius 1/2 with handles that there are already, and the file that they are in."""
+
+    def open_page(*there, space=3, errors=0):
+        still = growing(space=space).at(0.0)
+        file = tmp_path / "handles.json"
+        if there:
+            file.write_text(json.dumps({"handles": there}))
+        editing = Editing(extract(still, resolution=24), file, command="levelflow edit ball --handles handles.json")
+        page = visit(serve(ViewedField(still, name="ball"), editing=editing), errors=errors)
+        computed(page)
+        return page, file
+
+    return open_page
+
+
+def computed(page):
+    """Until the surface after the edit is there, or it is said why not."""
+    page.wait_for_selector("body[data-preview=idle], body[data-preview=wrong]", timeout=30_000)
+    page.wait_for_timeout(100)
+    page.wait_for_selector("body[data-preview=idle], body[data-preview=wrong]", timeout=30_000)
+
+
+def listed(page):
+    """The handles as they would be saved."""
+    return page.evaluate("JSON.parse(viewer.editing.text()).handles")
+
+
+def middle(page):
+    box = page.locator("#canvas").bounding_box()
+    return box["width"] / 2, box["height"] / 2
+
+
+def pull(page, start, end):
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(*end, steps=4)
+    page.mouse.up()
+    computed(page)
+
+
+def test_a_handle_is_placed_dragged_undone_and_saved(edit):
+    page, file = edit(BOTTOM)
+    assert page.locator("#command code").inner_text() == "levelflow edit ball --handles handles.json"
+    settle(page)
+    bare = picture(page)
+    x, y = middle(page)
+    page.mouse.click(x, y)
+    computed(page)
+    _, placed = listed(page)
+    center, radius = np.array(placed["region"]["sphere"]["center"]), placed["region"]["sphere"]["radius"]
+    back = np.array(page.evaluate("viewer.camera.axes.back"))
+    assert np.allclose(center, 0.5 * back, atol=0.02) and placed["move"] == [0, 0, 0]
+    settle(page)
+    # Orange where the ball is, and blue where the surface is held.
+    red, _, blue = (picture(page) - bare)[int(y), int(x)]
+    assert red - blue > 60
+    pull(page, (x, y), (x + 60, y - 40))
+    move = np.array(listed(page)[1]["move"])
+    assert abs(move @ back) < 1e-4 and np.linalg.norm(move) > 0.1
+    there = page.evaluate("viewer.editing.project(toPage(viewer.editing.handle.place, viewer.panes[0].meta))")
+    assert np.allclose(there, (x + 60, y - 40), atol=1)
+    # The surface goes along where it is held, and the foot stays.
+    after = np.array(list(page.evaluate("[...viewer.editing.after.position]"))).reshape(-1, 3)
+    rest = np.array(list(page.evaluate("[...viewer.editing.after.rest]"))).reshape(-1, 3)
+    held = np.linalg.norm(rest - center, axis=1) < radius
+    assert held.sum() > 5 and np.allclose(after[held] - rest[held], move, atol=1e-5)
+    assert np.allclose(after[rest[:, 1] < -0.31], rest[rest[:, 1] < -0.31], atol=1e-5)
+    page.keyboard.press("Control+z")
+    computed(page)
+    assert listed(page)[1] == placed
+    page.keyboard.press("Control+Shift+z")
+    computed(page)
+    assert "●" in page.locator("#keep").inner_text()
+    page.keyboard.press("Control+s")
+    page.wait_for_selector("#message:not([hidden])")
+    assert page.locator("#message").inner_text() == "handles.json is saved."
+    assert "●" not in page.locator("#keep").inner_text()
+    fixed, moved = handles_from(file)
+    assert fixed.name == "foot" and np.allclose(moved.by, move)
+
+
+def test_handles_move_along_axes_and_the_normal_and_turn(edit):
+    page, _ = edit(BOTTOM)
+    x, y = middle(page)
+    page.mouse.click(x, y)
+    back = np.array(page.evaluate("viewer.camera.axes.back"))
+    page.mouse.move(x, y)
+    for key in "gy":
+        page.keyboard.press(key)
+    page.mouse.move(x + 30, y - 80, steps=3)
+    page.keyboard.press("Enter")
+    computed(page)
+    move = listed(page)[1]["move"]
+    assert move[0] == move[2] == 0 and move[1] > 0.1
+    page.keyboard.press("Control+z")
+    # Along the normal, which here almost points at the eye: from beside it the handle comes out.
+    page.evaluate("viewer.camera.turn(-1, 0), viewer.redraw()")
+    start = page.evaluate("viewer.editing.project(toPage(viewer.editing.handle.place, viewer.panes[0].meta))")
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.keyboard.down("Shift")
+    page.mouse.move(start[0] + (80 if start[0] > x else -80), start[1], steps=3)
+    page.mouse.up()
+    page.keyboard.up("Shift")
+    computed(page)
+    move = np.array(listed(page)[1]["move"])
+    assert move @ back > 0.99 * np.linalg.norm(move) > 0.1
+    page.keyboard.press("Control+z")
+    # A quarter of a turn about what the eye looks along, counter-clockwise.
+    start = page.evaluate("viewer.editing.project(toPage(viewer.editing.handle.place, viewer.panes[0].meta))")
+    page.mouse.move(start[0] + 80, start[1])
+    page.keyboard.press("r")
+    page.mouse.move(start[0] + 60, start[1] - 60)
+    page.mouse.move(start[0], start[1] - 80)
+    page.mouse.click(start[0], start[1] - 80)
+    computed(page)
+    turn = listed(page)[1]["rotate"]
+    assert turn["angle"] == pytest.approx(90, abs=0.1) and "move" not in listed(page)[1]
+    assert np.allclose(turn["axis"], page.evaluate("viewer.camera.axes.back"), atol=1e-5)
+    # Another quarter about the same axis, given up with Escape.
+    page.keyboard.press("r")
+    page.mouse.move(start[0] - 80, start[1])
+    page.keyboard.press("Escape")
+    computed(page)
+    assert listed(page)[1]["rotate"] == turn
+    # The surface as well is as it was before.
+    before = page.evaluate("[...viewer.editing.after.position]")
+    page.keyboard.press("g")
+    page.mouse.move(start[0] - 80, start[1] - 30)
+    page.wait_for_timeout(600)
+    page.keyboard.press("Escape")
+    computed(page)
+    assert page.evaluate("[...viewer.editing.after.position]") == before
+    assert page.locator("#kinds .on").inner_text() == "turn"
+
+
+def test_turns_one_after_the_other_are_one_turn(edit):
+    page, _ = edit(BOTTOM)
+    p, (a, first), (b, second) = [0.3, -0.2, 0.9], ([1, 2, 3], 70), ([-1, 0, 0.5], 155)
+    once = page.evaluate("([p, a, b]) => turned(turned(p, ...a), ...b)", [p, [a, first], [b, second]])
+    both = page.evaluate("([p, a, b]) => turned(p, ...composed(a, b))", [p, [a, first], [b, second]])
+    assert np.allclose(once, both, atol=1e-12) and np.linalg.norm(both) == pytest.approx(np.linalg.norm(p))
+    assert page.evaluate("composed([[0, 0, 2], 300], [[0, 0, -1], -100])") == [[0, 0, -1], -400]
+
+
+def test_radii_kinds_and_deletion(edit):
+    page, _ = edit(BOTTOM)
+    x, y = middle(page)
+    page.mouse.click(x, y)
+    radius = listed(page)[1]["region"]["sphere"]["radius"]
+    page.mouse.move(x, y)
+    page.mouse.wheel(0, -100)
+    page.wait_for_timeout(500)
+    computed(page)
+    assert listed(page)[1]["region"]["sphere"]["radius"] == pytest.approx(radius * np.exp(1 / 8), rel=1e-3)
+    distance = page.evaluate("viewer.camera.distance")
+    page.mouse.move(40, 300)
+    page.mouse.wheel(0, -100)
+    assert page.evaluate("viewer.camera.distance") < distance
+    page.click("#kinds [data-kind=hold]")
+    assert listed(page)[1]["freeze"] is True and page.locator("#handles li").count() == 2
+    page.keyboard.press("Delete")
+    assert listed(page) == [BOTTOM]
+    page.click("#handles li button:text('×')")
+    computed(page)
+    assert listed(page) == [] and "Click the surface to place a handle" in page.locator("#note").inner_text()
+
+
+def test_handles_that_cannot_be_met_are_answered_on_the_page(edit):
+    high = {"region": {"sphere": {"center": [0, 0.5, 0], "radius": 0.98}}, "move": [0, 0.1, 0]}
+    page, file = edit(BOTTOM, high, errors=1)
+    note = page.locator("#note")
+    assert (
+        note.inner_text().startswith("Handle 1 ('foot') and handle 2 both hold") and page.locator(".wrong").count() == 3
+    )
+    page.locator("#handles .name").nth(1).click()
+    page.fill("#numbers input >> nth=1", "much")
+    page.keyboard.press("Enter")
+    assert page.locator("#message").inner_text() == "Type numbers, such as 0.25."
+    page.evaluate("viewer.editing.resize(0.3), viewer.editing.changed()")
+    computed(page)
+    assert note.inner_text() == "" and page.locator(".wrong").count() == 0
+    before = file.read_text()
+    page.evaluate("viewer.editing.list = []")
+    page.keyboard.press("Control+s")
+    page.wait_for_selector("#message:has-text('There are no handles; click the surface')")
+    assert file.read_text() == before
+
+
+def test_a_curve_in_the_plane_has_handles_too(edit):
+    page, file = edit({"region": {"box": {"lower": [-1, -1], "upper": [1, -0.3]}}, "freeze": True}, space=2)
+    top = page.evaluate("viewer.editing.project([0, 0.5, 0])")
+    page.mouse.click(*top)
+    computed(page)
+    pull(page, top, (top[0], top[1] - 50))
+    page.keyboard.press("Control+s")
+    page.wait_for_selector("#message:not([hidden])")
+    _, moved = handles_from(file)
+    assert np.allclose(moved.region.center, (0, 0.5), atol=0.03) and moved.by[1] > 0.05 and abs(moved.by[0]) < 0.01
+    highest = page.evaluate(
+        "viewer.editing.after.position.reduce((most, y, i) => (i % 3 === 1 ? Math.max(most, y) : most), -1)"
+    )
+    assert highest == pytest.approx(0.5 + moved.by[1], abs=0.03)
+
+
+def test_a_file_places_handles_and_hands_them_over(visit, tmp_path):
+    still = growing().at(0.0)
+    editing = Editing(extract(still, resolution=16), tmp_path / "handles.json", command="levelflow edit ball")
+    file = tmp_path / "ball.html"
+    file.write_text(standalone([ViewedField(still, name="ball")], [], resolution=24, editing=editing), "utf-8")
+    page = visit(file.as_uri())
+    page.mouse.click(*middle(page))
+    assert page.locator("#showing").is_hidden()
+    with page.expect_download() as download:
+        page.click("#keep")
+    assert download.value.suggested_filename == "handles.json"
+    (handle,) = handles_from(download.value.path())
+    assert np.linalg.norm(handle.region.center) == pytest.approx(0.5, abs=0.01)

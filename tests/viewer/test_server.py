@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from levelflow import EmptyLevelSet
+from levelflow import EmptyLevelSet, extract
+from levelflow.viewer.editing import Editing
 from levelflow.viewer.packing import unpack
 from levelflow.viewer.server import Server
 from levelflow.viewer.viewed import ViewedField
@@ -25,10 +26,34 @@ def server():
     server.close()
 
 
-def ask(server, path, *, token=None, **headers):
-    """Status, headers and body."""
+HANDLES = json.dumps(
+    {
+        "handles": [
+            {"region": {"sphere": {"center": [0, 0, -0.5], "radius": 0.3}}, "freeze": True},
+            {"region": {"sphere": {"center": [0, 0, 0.5], "radius": 0.3}}, "move": [0, 0, 0.2]},
+        ]
+    }
+)
+
+
+@pytest.fixture(scope="module")
+def editor(tmp_path_factory):
+    """A server of a page that edits handles."""
+    still = growing().at(0.0)
+    file = tmp_path_factory.mktemp("handles") / "handles.json"
+    editing = Editing(extract(still, resolution=24), file, command="levelflow edit ball --handles handles.json")
+    server = Server([ViewedField(still, name="ball")], resolution=32, preview=16, editing=editing)
+    server.start()
+    yield server
+    server.close()
+
+
+def ask(server, path, *, token=None, body=None, **headers):
+    """Status, headers and body; with a body the request is one that sends it, as JSON if nothing else is said."""
     connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=30)
-    connection.request("GET", f"/{server.token if token is None else token}/{path}", headers=headers)
+    method, kind = ("GET", {}) if body is None else ("POST", {"Content-Type": "application/json"})
+    headers = kind | {name.replace("_", "-"): value for name, value in headers.items()}
+    connection.request(method, f"/{server.token if token is None else token}/{path}", body, headers)
     answer = connection.getresponse()
     body = answer.read()
     connection.close()
@@ -128,6 +153,76 @@ def test_strangers_are_refused(server):
     assert status == 404 and "known are meta, frame, plane, export" in json.loads(body)["error"]
 
 
+def test_handles_come_back_as_the_surface_that_they_make(editor):
+    status, _, body = ask(editor, "deformed?steps=2&way=arap", body=HANDLES)
+    header, arrays = unpack(body)
+    assert status == 200 and header["note"] == ""
+    before = np.stack([arrays[axis] for axis in "xyz"], 1)
+    assert np.allclose(np.linalg.norm(before, axis=1), 0.5, atol=5e-3)
+    held = arrays["held"]
+    assert np.allclose((arrays["position"] - before)[held == 2], [0, 0, 0.2], atol=1e-6)
+    assert np.allclose(arrays["position"][held == 1], before[held == 1], atol=1e-6)
+    assert set(held) == {0, 1, 2}
+
+
+def test_handles_are_saved_and_on_the_page_from_then_on(editor):
+    meta = json.loads(ask(editor, "meta")[2])
+    assert meta["editing"]["handles"] == [] and meta["editing"]["file"] == "handles.json"
+    status, _, body = ask(editor, "handles", body=HANDLES)
+    assert status == 200 and json.loads(body) == {"saved": str(editor.editing.file)}
+    assert json.loads(editor.editing.file.read_text()) == json.loads(HANDLES)
+    assert '"freeze":true' in ask(editor, "")[2].decode()
+    assert json.loads(ask(editor, "meta")[2])["editing"]["handles"] == json.loads(HANDLES)["handles"]
+    editor.editing.file.unlink()
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "status", "message"),
+    [
+        ("handles", "{}", 400, "handles_in: the text: it has no 'handles'; write it"),
+        ("handles", b"\xff", 400, "handles: send handles as text in UTF-8"),
+        ("deformed", HANDLES.replace("-0.5", "-5"), 400, "the region of handle 1 holds no vertex of the surface"),
+        ("deformed", HANDLES.replace("0.3", "0.9"), 400, "handle 1 and handle 2 both hold"),
+        ("deformed?steps=99", HANDLES, 400, "steps=99: give a whole number from 1 to 8"),
+        ("deformed?way=wax", HANDLES, 400, "there is no way 'wax'; known are blended, arap, shell"),
+        ("frame", HANDLES, 404, "There is nothing to send to 'frame'; with --handles known are handles, deformed"),
+    ],
+)
+def test_wrong_handles_are_answered_in_a_sentence(editor, path, body, status, message):
+    found, _, answer = ask(editor, path, body=body)
+    assert found == status and message in json.loads(answer)["error"] and not editor.editing.file.exists()
+
+
+def test_handles_that_cannot_be_written_are_answered(editor, monkeypatch):
+    def refuse(*_):
+        raise PermissionError(13, "Permission denied", "handles.json")
+
+    monkeypatch.setattr("levelflow.viewer.editing.replace_file", refuse)
+    status, _, answer = ask(editor, "handles", body=HANDLES)
+    assert status == 400 and "Permission denied: 'handles.json'" in json.loads(answer)["error"]
+
+
+def test_strangers_write_nothing(editor, server):
+    for more in (
+        {"Host": "evil.example:1"},
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+        {"token": "guess"},
+    ):
+        status, _, answer = ask(editor, "handles", body=HANDLES, **more)
+        assert status == 403 and "error" in json.loads(answer)
+    # What a form of another page could send without being asked.
+    for kind in ("text/plain", "application/x-www-form-urlencoded", "multipart/form-data"):
+        status, _, answer = ask(editor, "handles", body=HANDLES, Content_Type=kind)
+        assert status == 415 and "send handles as application/json" in json.loads(answer)["error"]
+    for length in ("99999999", "-1", "many"):
+        status, _, answer = ask(editor, "handles", body="", Content_Length=length)
+        assert status == 413 and "send at most" in json.loads(answer)["error"]
+    assert not editor.editing.file.exists()
+    status, _, answer = ask(server, "handles", body=HANDLES)
+    assert status == 404 and "with --handles" in json.loads(answer)["error"]
+
+
 def test_a_frame_that_nobody_waits_for_has_no_content(server, monkeypatch):
     from levelflow.viewer.frames import Superseded
 
@@ -136,6 +231,16 @@ def test_a_frame_that_nobody_waits_for_has_no_content(server, monkeypatch):
 
     monkeypatch.setattr(server.frames, "get", get)
     assert ask(server, "frame?t=0")[::2] == (204, b"")
+
+
+@pytest.mark.parametrize(("error", "said"), [(ConnectionResetError, ""), (KeyError, "KeyError")])
+def test_a_browser_that_goes_away_is_no_error(server, capsys, error, said):
+    try:
+        raise error
+    except error:
+        server.handle_error(None, ("127.0.0.1", 1))
+    found = capsys.readouterr().err
+    assert said in found and bool(said) == bool(found)
 
 
 def test_what_cannot_be_served_is_refused(server):

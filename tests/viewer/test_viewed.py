@@ -115,3 +115,12 @@ def test_what_cannot_be_seen_is_refused():
         ViewedMesh(Mesh(*_cube()), name="cube").surface((0.0,), resolution=8)
     with pytest.raises(ValueError, match="depends on 0 time"):
         ViewedField(growing().at(0.0), name="").values(np.zeros((1, 3)), (0.0,))
+
+
+def test_a_mixture_says_of_what():
+    field = placed(3, 2)
+    assert ViewedField(field, name="").shares == ()
+    field.provenance = {"shares": ["a", "b", "c"]}
+    assert ViewedField(field, name="").shares == ("a", "b", "c")
+    # At given shares it is a surface like others.
+    assert ViewedField(field.at(3.0, 0.0), name="").shares == ()

@@ -12,7 +12,9 @@ uniform vec2 range;     // what is added to a value, and by what it is then divi
 uniform vec3 ramp[5];
 in vec3 position, normal;
 in float quantity, curvature;
+in vec4 tint;           // the colour of the nearest handle, and how far its region is
 out vec3 at, outside, inside;
+out vec4 held;
 vec3 linear(vec3 c) { return mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(0.04045, c)); }
 vec3 srgb(vec3 c) { return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c)); }
 vec3 ramped(float v) {
@@ -34,6 +36,7 @@ void main() {
   vec3 albedo = linear(colours > 0.5 ? ramped((quantity + range.x) / range.y) : vec3(0.88, 0.70, 0.58));
   vec3 towards = normalize((eye - position) * mat3(right, up, back));
   at = position;
+  held = tint;
   outside = flatness > 0.5 ? srgb(colours > 0.5 ? albedo : 0.3 * albedo) : lit(albedo, normal, towards, exp(0.045 * curvature));
   inside = flatness > 0.5 ? outside : lit(linear(vec3(0.36, 0.50, 0.62)), -normal, towards, 1.0);
   gl_Position = camera * vec4(position, 1.0);
@@ -43,10 +46,16 @@ const FRAGMENT = `#version 300 es
 precision highp float;
 uniform vec4 cut;  // an axis with its side as a sign, and the offset: what lies beyond is not drawn
 in vec3 at, outside, inside;
+in vec4 held;
 out vec4 result;
 void main() {
   if (dot(cut.xyz, at) > cut.w) discard;
-  result = vec4(gl_FrontFacing ? outside : inside, 1.0);
+  vec3 colour = gl_FrontFacing ? outside : inside;
+  float edge = fwidth(held.w) + 1e-6, region = clamp(0.5 - held.w / edge, 0.0, 1.0);
+  float rim = 1.0 - smoothstep(0.5, 1.8, abs(held.w) / edge);
+  float light = dot(colour, vec3(0.36, 0.36, 0.36));
+  colour = mix(colour, 0.2 * colour + 1.15 * held.rgb * light, 0.9 * region);
+  result = vec4(mix(colour, 0.7 * held.rgb, 0.8 * rim), 1.0);
 }`;
 
 const PLANE_VERTEX = `#version 300 es
@@ -113,11 +122,12 @@ class Drawing {
     this.software = isSoftware();
     const gl = (this.gl = canvas.getContext("webgl2", { antialias: !this.software, alpha: false, preserveDrawingBuffer: true }));
     if (!gl) throw new Error("This page draws with WebGL 2, which this browser does not offer; turn on hardware acceleration, or use another browser.");
-    this.surface = this.program(VERTEX, FRAGMENT, ["position", "normal", "quantity", "curvature"]);
+    this.surface = this.program(VERTEX, FRAGMENT, ["position", "normal", "quantity", "curvature", "tint"]);
     this.plane = this.program(PLANE_VERTEX, PLANE_FRAGMENT, ["corner"]);
     this.square = gl.createVertexArray();
     gl.bindVertexArray(this.square);
     this.attribute(0, 2, new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]));
+    gl.vertexAttrib4f(4, 0, 0, 0, 1); // no handle is near
     gl.enable(gl.DEPTH_TEST);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     this.ramp = new Float32Array(RAMP.flatMap((c) => [1, 3, 5].map((i) => parseInt(c.slice(i, i + 2), 16) / 255)));
@@ -167,6 +177,18 @@ class Drawing {
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, frame.index, gl.STATIC_DRAW);
     gl.bindVertexArray(null);
     return { array, quantities, buffers: [...buffers, index], count: frame.index.length };
+  }
+
+  // Four numbers for each vertex: the colour of what holds it, and how far that is, negative in it.
+  tint(mesh, values) {
+    const gl = this.gl;
+    gl.bindVertexArray(mesh.array);
+    if (!mesh.tint) mesh.buffers.push((mesh.tint = this.attribute(4, 4, values)));
+    else {
+      gl.bindBuffer(gl.ARRAY_BUFFER, mesh.tint);
+      gl.bufferData(gl.ARRAY_BUFFER, values, gl.DYNAMIC_DRAW);
+    }
+    gl.bindVertexArray(null);
   }
 
   forget({ array, buffers }) {

@@ -26,8 +26,8 @@ class ServerSource {
     this.formats = ["ply", "stl", "glb", "usdc"];
   }
 
-  async ask(path, query, signal) {
-    const answer = await fetch(`${path}?${new URLSearchParams(query)}`, { signal });
+  async ask(path, query, options) {
+    const answer = await fetch(`${path}?${new URLSearchParams(query)}`, options);
     if (!answer.ok) throw new Error((await answer.json()).error);
     // Nothing: the server gave up what this page wanted soon, because it asked for something else.
     if (answer.status === 204) throw Object.assign(new Error("superseded"), { superseded: true });
@@ -35,11 +35,24 @@ class ServerSource {
   }
 
   async frame(field, time, { resolution, rank, glance, signal }) {
-    return decode(await this.ask("frame", { field, t: time.join(), resolution, rank, glance, page: this.page }, signal));
+    return decode(await this.ask("frame", { field, t: time.join(), resolution, rank, glance, page: this.page }, { signal }));
   }
 
   async plane(field, time, { axis, offset, n, signal }) {
-    return new Float32Array(await this.ask("plane", { field, t: time.join(), axis, offset, n }, signal));
+    return new Float32Array(await this.ask("plane", { field, t: time.join(), axis, offset, n }, { signal }));
+  }
+
+  tell(path, query, body, signal) {
+    return this.ask(path, query, { method: "POST", headers: { "Content-Type": "application/json" }, body, signal });
+  }
+
+  // The surface after an edit by handles.
+  async deformed(text, query, signal) {
+    return decode(await this.tell("deformed", { ...query, page: this.page }, text, signal));
+  }
+
+  async save(text) {
+    await this.tell("handles", {}, text);
   }
 
   async file(field, time, format) {

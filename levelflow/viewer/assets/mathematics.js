@@ -8,6 +8,25 @@ const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a
 const length = (a) => Math.hypot(a[0], a[1], a[2]);
 const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
 
+// A vector turned about an axis by an angle in degrees, counter-clockwise seen against the axis (Rodrigues).
+function turned(a, axis, degrees) {
+  const k = scaled(1 / length(axis), axis), c = Math.cos((degrees * Math.PI) / 180), s = Math.sin((degrees * Math.PI) / 180);
+  return add(add(scaled(c, a), scaled(s, cross(k, a))), scaled((1 - c) * dot(k, a), k));
+}
+
+// Axis and angle of two turns, one after the other. About one axis angles add up, beyond a full turn as well.
+function composed([a, first], [b, second]) {
+  const [k, l] = [scaled(1 / length(a), a), scaled(1 / length(b), b)], along = dot(k, l);
+  if (!first || Math.abs(along) > 1 - 1e-9) return [l, second + (first && Math.sign(along) * first)];
+  // Quaternions: (w, v) (w', v') = (w w' - v.v', w v' + w' v + v x v').
+  const half = Math.PI / 360, [p, u] = [Math.cos(second * half), scaled(Math.sin(second * half), l)];
+  const [q, v] = [Math.cos(first * half), scaled(Math.sin(first * half), k)];
+  const w = p * q - dot(u, v), n = add(add(scaled(p, v), scaled(q, u)), cross(u, v)), sine = length(n);
+  if (sine < 1e-9) return [l, 0];
+  const angle = Math.atan2(sine, w) / half;
+  return [scaled(1 / sine, n), angle > 180 ? angle - 360 : angle];
+}
+
 // A pinhole camera that turns about its target. The shorter side of the picture spans the field of view.
 class Camera {
   constructor(flat) {
@@ -109,10 +128,10 @@ class Camera {
   }
 }
 
-// The nearest point at which a ray meets triangles and that `keep` accepts, or null (Möller and Trumbore, 1997):
-// start + s way = (1 - u - v) a + u b + v c is solved for s, u and v by Cramer's rule.
+// The nearest point at which a ray meets triangles and that `keep` accepts, with its triangle and its place there; or
+// null (Möller and Trumbore, 1997): start + s way = (1 - u - v) a + u b + v c is solved for s, u and v by Cramer's rule.
 function meet({ start, way }, positions, index, keep) {
-  let nearest = Infinity;
+  let nearest = Infinity, found = null;
   const corner = (i) => [positions[3 * i], positions[3 * i + 1], positions[3 * i + 2]];
   for (let k = 0; k < index.length; k += 3) {
     const a = corner(index[k]), ab = sub(corner(index[k + 1]), a), ac = sub(corner(index[k + 2]), a);
@@ -123,9 +142,10 @@ function meet({ start, way }, positions, index, keep) {
     const q = cross(from, ab), v = dot(way, q) / det;
     if (v < 0 || u + v > 1) continue;
     const s = dot(ac, q) / det;
-    if (s > 0 && s < nearest && keep(add(start, scaled(s, way)))) nearest = s;
+    const point = add(start, scaled(s, way));
+    if (s > 0 && s < nearest && keep(point)) [nearest, found] = [s, { point, corners: [index[k], index[k + 1], index[k + 2]], u, v }];
   }
-  return nearest < Infinity ? add(start, scaled(nearest, way)) : null;
+  return found;
 }
 
 // A number of at most so many digits, without zeros at its end.

@@ -21,14 +21,17 @@ class Viewer {
     Object.assign(this, { axis: 0, glance: 0, playing: 0, colour: "", range: [-1, 1], cut: null, points: [], measuring: false });
     this.swaps = []; // milliseconds that it took to show a frame that was there
     this.panes = this.meta.viewed.map((one, i) => new Pane(i, one, this));
+    this.shares = this.panes.map((pane) => pane.meta.shares).find((names) => names.length) ?? [];
     this.camera = new Camera(this.panes.every((pane) => pane.flat));
     this.labels();
     this.sliders();
     this.tools();
     this.pointer();
+    this.editing = null;
     addEventListener("resize", () => (this.place(), this.redraw()));
     addEventListener("keydown", (event) => this.key(event));
     this.place();
+    if (this.meta.editing) this.editing = new Editing(this);
     this.look();
   }
 
@@ -50,9 +53,22 @@ class Viewer {
   // To a place of a slider, or to any value.
   go(axis, place, value = this.meta.times[axis][place]) {
     this.axis = axis;
-    this.places[axis] = place;
-    this.values[axis] = value;
+    this.values = this.moved(axis, value);
+    this.places = this.values.map((t, i) => (i === axis ? place : this.nearest(i, t)));
     this.look();
+  }
+
+  // All values when one of them changes. Shares of a mixture are at most 1 together: the others give way in proportion.
+  moved(axis, value) {
+    const number = this.shares.length - 1, values = this.values.with(axis, value);
+    const others = values.slice(0, number).reduce((sum, t, i) => (i === axis ? sum : sum + t), 0);
+    if (axis >= number || value + others <= 1) return values;
+    return values.map((t, i) => (i === axis || i >= number ? t : Number((((1 - value) * t) / others).toFixed(9))));
+  }
+
+  nearest(axis, value) {
+    const times = this.meta.times[axis];
+    return times.reduce((best, t, i) => (Math.abs(t - value) < Math.abs(times[best] - value) ? i : best), 0);
   }
 
   step(by) {
@@ -124,14 +140,20 @@ class Viewer {
   }
 
   draw({ resting = false } = {}) {
+    this.editing?.paint();
     const panes = this.panes.map((pane) => ({
       ...pane,
-      mesh: pane.shown?.mesh,
+      mesh: this.frameOf(pane)?.mesh,
       plane: $("contours").checked && this.cutOf(pane) && pane.shown?.position && pane.plane,
       spacing: this.spacing(pane) / pane.meta.scale,
     }));
     for (const pane of this.panes) if (pane.shown) pane.shown.used = performance.now();
     this.drawing.draw(panes, this.camera, { quantity: this.colour, range: this.range, cut: this.cut, resting });
+  }
+
+  // What is drawn: a frame, or the surface after an edit.
+  frameOf(pane) {
+    return this.editing && pane === this.editing.pane ? this.editing.frame : pane.shown;
   }
 
   // A curve in the plane has the level sets of its whole plane.
@@ -171,7 +193,9 @@ class Viewer {
       const faces = shown?.position ? `${(shown.index.length / 3).toLocaleString("en")} triangles` : "";
       const waits = !error && !pane.best();
       const kind = !pane.meta.times.length || !shown?.position ? "" : shown.resolution < this.meta.resolution ? " · preview" : "";
-      pane.state.textContent = waits ? "computing …" : faces + kind;
+      const rest = pane.meta.shares.length ? ` · ${pane.meta.shares[0]} ${short(Math.max(1 - pane.time().reduce((sum, t) => sum + t, 0), 0), 3)}` : "";
+      const edited = this.frameOf(pane) !== shown;
+      pane.state.textContent = edited ? `preview of the edit${this.editing.error && ", before the last change"}` : waits ? "computing …" : faces + kind + rest;
       pane.note.textContent = error || shown?.note || "";
     }
     document.body.dataset.ready = String(this.panes.every((pane) => pane.best() || pane.error));
@@ -179,11 +203,12 @@ class Viewer {
     this.marks();
     this.colours();
     this.measured();
+    this.editing?.markers();
   }
 
   sliders() {
     this.rows = this.meta.times.map((times, axis) => {
-      const name = this.meta.times.length > 1 ? `t${"₁₂₃₄₅₆₇₈₉"[axis] ?? axis + 1}` : "t";
+      const name = this.shares[axis + 1] ?? (this.meta.times.length > 1 ? `t${"₁₂₃₄₅₆₇₈₉"[axis] ?? axis + 1}` : "t");
       const play = make("button", { type: "button", className: "play", title: "Play (space)", innerHTML: PLAY });
       const range = make("input", { type: "range", min: 0, max: times.length - 1, step: 1, value: 0, ariaLabel: `time ${name}` });
       const ready = make("div", { className: "ready" }, ...times.map(() => make("i")));
@@ -202,7 +227,7 @@ class Viewer {
   type(axis, text) {
     const value = text.trim() === "" ? NaN : Number(text), times = this.meta.times[axis];
     if (!Number.isFinite(value)) return this.say(`“${text}” is not a number; type a time from ${short(times[0], 6)} to ${short(times.at(-1), 6)}.`);
-    const place = times.reduce((best, t, i) => (Math.abs(t - value) < Math.abs(times[best] - value) ? i : best), 0);
+    const place = this.nearest(axis, value);
     if (this.source instanceof EmbeddedSource && times[place] !== value) this.say(`This file has no t = ${value}; the nearest is shown.`);
     this.go(axis, place, this.source instanceof EmbeddedSource ? times[place] : value);
   }
@@ -216,7 +241,7 @@ class Viewer {
       const icon = this.playing && axis === this.axis ? PAUSE : PLAY;
       if (play.dataset.icon !== icon) play.innerHTML = play.dataset.icon = icon;
       [...ready.children].forEach((mark, i) => {
-        const values = this.values.with(axis, times[axis][i]);
+        const values = this.moved(axis, times[axis][i]);
         const name = this.panes.every((pane) => pane.has(resolution, values)) ? "fine" : this.panes.every((pane) => pane.has(preview, values)) ? "preview" : "";
         if (mark.className !== name) mark.className = name;
       });
@@ -330,15 +355,14 @@ class Viewer {
   }
 
   pick(x, y) {
-    const pane = this.paneAt(x);
-    const { shown } = pane;
+    const pane = this.paneAt(x), shown = this.frameOf(pane);
     if (!shown?.position) return;
     const ray = this.camera.ray(x - pane.left, y, pane.width, $("stage").clientHeight);
     const half = pane.flat ? null : this.cut?.half;
-    const point = meet(ray, shown.position, shown.index, (p) => !half || dot(half, p) <= half[3]);
-    if (!point) return this.say("There is no surface under that point.");
+    const found = meet(ray, shown.position, shown.index, (p) => !half || dot(half, p) <= half[3]);
+    if (!found) return this.say("There is no surface under that point.");
     if (this.points.length === 2 || this.points[0]?.pane !== pane) this.points = [];
-    this.points.push({ pane, point });
+    this.points.push({ pane, point: found.point });
     if (this.points.length === 2) this.measure(false);
     this.redraw();
   }
@@ -373,10 +397,12 @@ class Viewer {
     const least = () => Math.min(this.panes[0].width, canvas.clientHeight);
     canvas.onpointerdown = (event) => {
       canvas.setPointerCapture(event.pointerId);
+      if (this.editing?.press(event)) return;
       down.set(event.pointerId, { x: event.offsetX, y: event.offsetY, travelled: 0 });
       canvas.classList.add("held");
     };
     canvas.onpointermove = (event) => {
+      if (this.editing?.drag(event)) return;
       const last = down.get(event.pointerId);
       if (!last) return;
       const [dx, dy] = [(event.offsetX - last.x) / least(), (event.offsetY - last.y) / least()];
@@ -392,16 +418,20 @@ class Viewer {
       this.redraw();
     };
     canvas.onpointerup = canvas.onpointercancel = (event) => {
+      if (this.editing?.lift()) return;
       const last = down.get(event.pointerId);
       down.delete(event.pointerId);
       if (!down.size) canvas.classList.remove("held");
-      if (event.type === "pointerup" && this.measuring && last?.travelled < 0.01) this.pick(event.offsetX, event.offsetY);
+      if (event.type !== "pointerup" || event.button !== 0 || !(last?.travelled < 0.01)) return;
+      if (this.measuring) this.pick(event.offsetX, event.offsetY);
+      else this.editing?.click(event.offsetX, event.offsetY);
     };
     canvas.oncontextmenu = (event) => event.preventDefault();
     canvas.addEventListener(
       "wheel",
       (event) => {
         event.preventDefault();
+        if (this.editing?.wheel(event)) return;
         this.camera.zoom(Math.exp(clamp(event.deltaY, -100, 100) / 400));
         this.redraw();
       },
@@ -410,6 +440,7 @@ class Viewer {
   }
 
   key(event) {
+    if (this.editing?.key(event)) return event.preventDefault();
     if (event.target.matches("input[type=text], select") || event.ctrlKey || event.metaKey || event.altKey) return;
     const actions = {
       " ": () => this.play(),
@@ -420,8 +451,8 @@ class Viewer {
       Escape: () => this.measure(false),
     };
     const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-    // Arrows on a slider of the cut are its own.
-    if (!action || (event.target.id === "offset" && event.key.startsWith("Arrow"))) return;
+    // Arrows on a slider of its own are for it.
+    if (!action || (["offset", "radius"].includes(event.target.id) && event.key.startsWith("Arrow"))) return;
     event.preventDefault();
     if (event.key.startsWith("Arrow") && this.playing) this.play();
     action();

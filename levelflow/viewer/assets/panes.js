@@ -86,10 +86,10 @@ class Pane {
       for (let axis = 0; axis < this.meta.times.length; axis++)
         for (let step = 1; step <= Math.min(far(axis), most); step++)
           for (const place of [viewer.places[axis] + step, viewer.places[axis] - step]) {
-            const values = [...viewer.values];
-            const [a, b] = this.meta.times[axis];
-            values[axis] = times[axis][place];
-            if (values[axis] >= a && values[axis] <= b && !this.has(kind, values)) yield [kind, values];
+            const [a, b] = this.meta.times[axis], value = times[axis][place];
+            if (!(value >= a && value <= b)) continue;
+            const values = viewer.moved(axis, value);
+            if (!this.has(kind, values)) yield [kind, values];
           }
   }
 

@@ -7,9 +7,9 @@ the vertex moves by -n df, so that
 
 and a step of time is one step of descent in the weights theta of the energy whose negative gradient at the vertices is
 the flow (eq. 7 of the reference). Here that energy is half the mean squared distance of the vertices from where the
-flow takes them. The paper gives no length for the step; here it is the one after which the values at the vertices are, to
-first order, closest to what the flow asks for (Cauchy's step): no other length does better. An optimiser with a rate of
-its own, such as Adam, can be given instead.
+flow takes them. The paper gives no length for the step; here it is the one after which the values at the vertices are,
+to first order, closest to what the flow asks for: no other length does better. The direction is the gradient, or that
+of another optimiser; with `search=False` the length is the optimiser's own as well.
 
 References:
     Remelli et al., MeshSDF: Differentiable Iso-Surface Extraction, NeurIPS 2020;
@@ -20,8 +20,9 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -35,6 +36,9 @@ from levelflow.extraction import ExtractionWarning
 from levelflow.flows import Flow
 
 Optimiser = Callable[[Iterable[nn.Parameter]], torch.optim.Optimizer]
+
+GRADIENT: Optimiser = partial(torch.optim.SGD, lr=1.0)
+"""Steps along the gradient itself."""
 
 
 @dataclass(frozen=True)
@@ -70,30 +74,44 @@ def vertices(field: Field, mesh: Mesh, displacement: Float[np.ndarray, "n d"]) -
     return Followers(x, normal.to(x), torch.tensor(displacement))
 
 
-def descend(field: Field, seen: Followers, optimiser: torch.optim.Optimizer | None = None) -> None:
+def descend(field: Field, seen: Followers, optimiser: torch.optim.Optimizer, *, search: bool = True) -> None:
     r"""One step of descent in the weights of a field, in place.
 
-    The gradient of $\tfrac{1}{2n} \sum |x(\theta) - x - D|^2$ is $g = \frac1n \sum \langle a, D\rangle\, df/d\theta$,
-    for points that reach D where their values fall by $\langle a, D\rangle$. Without an optimiser the step is
-    $-\lambda g$, with the $\lambda$ for which the values come closest to that to first order, in the mean square.
+    The gradient of $\tfrac{1}{2n} \sum |x(\theta) - x - D|^2$ is $\frac1n \sum \langle a, D\rangle\, df/d\theta$: the
+    values at the points are to fall by $\langle a, D\rangle$.
+
+    Args:
+        field: What is changed.
+        seen: The points x, the a and the D.
+        optimiser: Takes a step from the gradient.
+        search: Whether that step is then made as long as brings the values closest to what is asked for, to first
+            order and in the mean square.
     """
-    weights = dict(field.named_parameters())
-    loss = (seen.at(field) - seen.points - seen.displacement).square().sum(1).mean() / 2
-    gradient = torch.autograd.grad(loss, list(weights.values()))
-    if optimiser is not None:
-        for weight, slope in zip(weights.values(), gradient, strict=True):
-            weight.grad = slope
-        optimiser.step()
+    weights = list(field.parameters())
+    before = [weight.detach().clone() for weight in weights]
+    optimiser.zero_grad(set_to_none=True)
+    (seen.at(field) - seen.points - seen.displacement).square().sum(1).mean().div(2).backward()
+    optimiser.step()
+    if not search:
         return
-    # How the values change along the gradient: the derivative, in the shares u, of that of <u, f>.
-    shares = seen.points.new_zeros(len(seen.points), requires_grad=True)
-    slopes = torch.autograd.grad((shares * field(seen.points)).sum(), list(weights.values()), create_graph=True)
-    (change,) = torch.autograd.grad(sum((a * b).sum() for a, b in zip(slopes, gradient, strict=True)), shares)
     with torch.no_grad():
-        fall, square = (seen.response * seen.displacement).sum(1), change.square().sum()
-        length = (change * fall).sum() / square if square > 0 else square
-        for weight, slope in zip(weights.values(), gradient, strict=True):
-            weight -= length.to(weight) * slope
+        steps = [weight - old for weight, old in zip(weights, before, strict=True)]
+        for weight, old in zip(weights, before, strict=True):
+            weight.copy_(old)
+    change = along(field, seen.points, steps)
+    fall, square = (seen.response * seen.displacement).sum(1), change.square().sum()
+    length = (-(change * fall).sum() / square).clamp_min(0) if square > 0 else square
+    with torch.no_grad():
+        for weight, step in zip(weights, steps, strict=True):
+            weight += length.to(weight) * step
+
+
+def along(field: Field, x: Float[Tensor, "n d"], steps: Sequence[Tensor]) -> Float[Tensor, " n"]:
+    r"""The derivatives of the values at points along steps s of the weights, $\langle df/d\theta, s\rangle$."""
+    shares = x.new_zeros(len(x), requires_grad=True)
+    slopes = torch.autograd.grad((shares * field(x)).sum(), list(field.parameters()), create_graph=True)
+    total = torch.stack([(slope * step).sum() for slope, step in zip(slopes, steps, strict=True)]).sum()
+    return torch.autograd.grad(total, shares)[0]
 
 
 def evolve(
@@ -105,7 +123,8 @@ def evolve(
     parts: int = 1,
     resolution: int = 96,
     substeps: int = 4,
-    optimiser: Optimiser | None = None,
+    optimiser: Optimiser = GRADIENT,
+    search: bool = True,
     seen: Seen = vertices,
     on_step: Callable[[Step], None] | None = None,
 ) -> Placed:
@@ -119,7 +138,8 @@ def evolve(
         parts: Into how many parts each step is divided, each with an extraction, a flow and a descent of its own.
         resolution: Cells of the extraction along the longest side of the box.
         substeps: How many steps of the flow a part is for the mesh.
-        optimiser: Takes the descents, made once from the weights; Cauchy's steps if left out.
+        optimiser: Makes what takes the descents from the weights, once.
+        search: Whether each descent is as long as serves best; if not, as long as the optimiser makes it.
         seen: The points that are followed, and how.
         on_step: Called after each step of time; its `gap` is that of the vertices moved in the last part.
 
@@ -130,7 +150,7 @@ def evolve(
         Vanished: If there is no surface left; its `field` is the evolution until then.
     """
     current = copy.deepcopy(field)
-    descent = None if optimiser is None else optimiser(current.parameters())
+    descent = optimiser(current.parameters())
     networks = [field.field]
     for number in range(1, steps + 1):
         for part in range(parts):
@@ -144,7 +164,7 @@ def evolve(
                 error.field = _evolution(networks, dt, field) if number > 1 else None
                 raise error from None
             displacement = moved(mesh, flow, time, dt / parts, substeps=substeps)
-            descend(current, seen(current, mesh, displacement), descent)
+            descend(current, seen(current, mesh, displacement), descent, search=search)
         networks.append(copy.deepcopy(current.field))
         if on_step is not None:
             wanted = mesh.vertices + displacement

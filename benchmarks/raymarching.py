@@ -24,7 +24,7 @@ import meshsdf
 import numpy as np
 import torch
 from jaxtyping import Float
-from meshsdf import Followers, Optimiser
+from meshsdf import GRADIENT, Followers, Optimiser
 from torch import Tensor
 
 from levelflow import Box, Field, Mesh, Placed
@@ -124,7 +124,8 @@ def evolve(
     parts: int = 1,
     resolution: int = 96,
     substeps: int = 4,
-    optimiser: Optimiser | None = None,
+    optimiser: Optimiser = GRADIENT,
+    search: bool = True,
     directions: Sequence[Sequence[float]] | None = None,
     views: int = 6,
     rays: int = 32,
@@ -141,7 +142,8 @@ def evolve(
         parts: Into how many parts each step is divided, each with rays, a flow and a descent of its own.
         resolution: Cells of the extraction for the flow along the longest side of the box.
         substeps: How many steps of the flow a part is for the mesh.
-        optimiser: Takes the descents, made once from the weights; Cauchy's steps if left out.
+        optimiser: Makes what takes the descents from the weights, once.
+        search: Whether each descent is as long as serves best; if not, as long as the optimiser makes it.
         directions: Of the rays, one for each view; drawn anew for each descent if left out.
         views: How many directions are drawn.
         rays: How many rays a view has along each side.
@@ -154,5 +156,5 @@ def evolve(
     seen = Rays(directions, views, rays, torch.Generator().manual_seed(seed))
     return meshsdf.evolve(
         field, flow, dt=dt, steps=steps, parts=parts, resolution=resolution, substeps=substeps, optimiser=optimiser,
-        seen=seen, on_step=on_step,
+        search=search, seen=seen, on_step=on_step,
     )  # fmt: skip

@@ -145,7 +145,7 @@ def test_the_length_of_a_step_is_the_best_there_is(script, generator):
     seen = meshsdf.Followers(x, 100 * response, 1e-4 * wanted)
     start = [p.detach().clone() for p in field.parameters()]
     before = field(x).detach()
-    meshsdf.descend(field, seen)
+    meshsdf.descend(field, seen, meshsdf.GRADIENT(field.parameters()))
     ends = [p.detach().clone() for p in field.parameters()]
 
     def miss(share: float) -> float:
@@ -157,12 +157,24 @@ def test_the_length_of_a_step_is_the_best_there_is(script, generator):
     assert miss(1.0) < min(miss(0.9), miss(1.1), miss(0.0))
 
 
-def test_an_optimiser_takes_the_steps_if_one_is_given(script):
-    """Plain descent at the rate 1 on f = |x| - r: the radius changes by the mean of <n, D>."""
+@pytest.mark.parametrize("sign", [1, -1])
+def test_of_an_optimiser_only_the_direction_counts(script, sign):
+    adam = partial(torch.optim.Adam, lr=1e-6)
     evolve = script("meshsdf").evolve
-    rate = partial(torch.optim.SGD, lr=1.0)
-    grown = evolve(placed(Ball(0.4)), NormalOffset(0.5), dt=0.1, steps=2, parts=2, resolution=16, optimiser=rate)
-    assert grown.field.fields[-1].radius.item() == pytest.approx(0.5, abs=2e-3)
+    moved = evolve(
+        placed(Half((0.0, 0.0, 1.0), 0.0)), NormalOffset(sign), dt=0.1, steps=2, resolution=8, optimiser=adam
+    )
+    assert moved.field.fields[-1].offset.item() == pytest.approx(sign * 0.2, abs=1e-6)
+
+
+def test_an_optimiser_takes_the_steps_if_one_is_given(script):
+    """Plain descent at the rate 1/2 on f = |x| - r: the radius changes by half the mean of <n, D>."""
+    evolve = script("meshsdf").evolve
+    rate = partial(torch.optim.SGD, lr=0.5)
+    grown = evolve(
+        placed(Ball(0.4)), NormalOffset(0.5), dt=0.1, steps=2, parts=2, resolution=16, optimiser=rate, search=False
+    )
+    assert grown.field.fields[-1].radius.item() == pytest.approx(0.45, abs=1e-3)
 
 
 def test_what_vanishes_is_said_to(script):

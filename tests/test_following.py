@@ -15,9 +15,10 @@ from torch import Tensor, nn
 from levelflow import SIREN, Box, Placed, extract
 from levelflow.evolution import Step, Vanished
 from levelflow.fields import Field
-from levelflow.flows import NormalOffset, Prescribed
+from levelflow.flows import MeanCurvature, NormalOffset, Prescribed
 from levelflow.jets import Jet
-from levelflow.shapes.mesh import Mesh
+from levelflow.shapes import Mesh, Sphere, Torus
+from tests.axisymmetric import ring
 
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
 CUBE = Box((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
@@ -190,3 +191,36 @@ def test_values_between_vertices_are_linear(script, generator):
     found = script("raymarching").interpolated(mesh, mesh.vertices @ matrix + 1, weight)
     assert np.allclose(found, weight @ matrix + 1, atol=1e-9)
     assert math.isclose(found.mean(), (weight @ matrix + 1).mean())
+
+
+def test_thin_rings_collapse_when_their_section_says(script, monkeypatch):
+    following = script("following")
+    monkeypatch.setattr(following, "TORUS", (1.0, 0.2, ring(1.0, 0.2)))
+    torus = Torus(1.0, 0.2)
+    mesh = extract(torus.distance, box=torus.box.expanded(0.1), resolution=96, refine=3)
+    assert abs(following.collapse(mesh, 0.0)) < 4e-3
+    assert abs(following.collapse(following.alone(mesh, MeanCurvature(1.0), 1e-3, 12), 0.012)) < 4e-3
+
+
+def test_the_order_and_the_limit_of_errors_are_found(script):
+    row = script("following").extrapolated("first", [0.03 + 0.08 / n for n in (1, 2, 4)])
+    assert row == ["first", "+11.000", "+7.000", "+5.000", "+3.000", "1.00"]
+
+
+def test_a_section_has_its_tables_and_says_what_was_found(script, capsys):
+    following = script("following")
+    section = following.Section("A title", "How.", "It is so.", "It is.")
+    add = section.table("row", "a", "b")
+    add(["first", "1", "2"])
+    assert capsys.readouterr().out.split() == ["A", "title", "row", "a", "b", "first", "1", "2"]
+    parts = following.document([section], "it.png").split("\n\n")
+    assert parts[-4:-1] == ["How.", "**Paper:** It is so.", "**Found:** It is."]
+    assert parts[-1] == "| row | a | b |\n|---|---|---|\n| first | 1 | 2 |\n"
+    assert any("(it.png)" in part for part in parts)
+
+
+def test_a_ball_is_round_and_its_radius_known(script):
+    following = script("following")
+    mesh = extract(Sphere(0.5).distance, box=CUBE, resolution=24, refine=3)
+    assert float(following.roundness(mesh)) == pytest.approx(1.0, abs=0.01)
+    assert following.radial(mesh, 0.4) == pytest.approx(0.25, abs=1e-6)

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from levelflow import SIREN, Box, Placed, extract
 from levelflow.evolution import Step, Vanished
 from levelflow.fields import Field
-from levelflow.flows import MeanCurvature, NormalOffset, Prescribed
+from levelflow.flows import NormalOffset, Prescribed
 from levelflow.jets import Jet
 from levelflow.shapes import Mesh, Sphere, Torus
 from tests.axisymmetric import ring

@@ -8,10 +8,10 @@ motion along a ball), `ball` (a ball under mean curvature, whose radius is known
 becomes round), `scan` (figure 6: a scan is smoothed), `orders` (what the flow and its follower owe to the step of time
 and to the extraction).
 
-Rivals (meshsdf.py, raymarching.py) have the call of `evolve` and see the same flow of a mesh of the same resolution; what
-each row is stands at the head of the document. The paper says that they take a single step of gradient descent for a
-step of the flow, and gives no rate for them, no network, no steps of time and no numbers. All here start from the same
-fitted network, our default one but half as wide for the built-in shapes. Seconds are of the processor, without fits.
+Rivals (meshsdf.py, raymarching.py) have the call of `evolve` and see the same flow of a mesh of the same resolution;
+what each row is stands at the head of the document. The paper says that they take a single step of gradient descent for
+a step of the flow, and gives no rate for them, no network, no steps of time and no numbers. All here start from the
+same fitted network, our default one but half as wide for the built-in shapes. Seconds are of the processor.
 
 Reference:
     Mehta et al., A Level Set Theory for Neural Implicit Evolution under Explicit Flows, ECCV 2022, Secs. 5 and 6.1.
@@ -409,8 +409,8 @@ def orders(options: argparse.Namespace) -> Section:
         add([f"{resolution} cells, 4 substeps", *errors, total(runs)])
     section.found = (
         "the flow is of the first order in the step of time; without it the ball is wrong by "
-        f"{', '.join(f'{limit:.3%}' for limit in limits)} for {', '.join(map(str, cells))} cells: halved cells bring it "
-        f"to {limits[1] / limits[0]:.2f} and {limits[2] / limits[1]:.2f} of itself (second order is 0.25). What the "
+        f"{', '.join(f'{limit:.3%}' for limit in limits)} for {', '.join(map(str, cells))} cells: halved cells bring "
+        f"it to {limits[1] / limits[0]:.2f} and {limits[2] / limits[1]:.2f} of itself (second order is 0.25). What the "
         "field adds is seen where the last two tables differ from the first."
     )
     return section

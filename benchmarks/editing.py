@@ -32,6 +32,7 @@ from pathlib import Path
 import igl
 import numpy as np
 import torch
+from PIL import Image
 
 from levelflow import SIREN, Box, Budget, Camera, Mesh, Placed, contact_sheet, evolve, extract, fit, flows
 from levelflow.handles import BoxRegion, Handle, SphereRegion
@@ -209,10 +210,8 @@ def main() -> None:
         azimuth, elevation, up = TASKS[name].view
         camera = Camera.around(np.concatenate([mesh.vertices for mesh in meshes]), azimuth, elevation=elevation, up=up)
         pictures.append(contact_sheet(meshes, labels, camera=camera, columns=len(meshes), size=240))
-    from PIL import Image
-
     picture = options.output.with_suffix(".png")
-    Image.fromarray(np.concatenate(pictures)).save(picture)
+    Image.fromarray(np.concatenate(pictures)).quantize(128).save(picture, optimize=True)
     replace_file(options.output, document(lines, picture.name, options).encode())
     print(options.output)
 

@@ -26,6 +26,7 @@ import time
 from pathlib import Path
 
 import torch
+from PIL import Image
 
 from levelflow import SIREN, Budget, Camera, Mesh, contact_sheet, evolve, extract, fit, flows
 from levelflow.curvature import gradient_norm
@@ -88,7 +89,8 @@ def main() -> None:
     meshes.append(alone)
     labels.append("without a field")
     camera = Camera.around(first.vertices, azimuth=options.azimuth)
-    contact_sheet(meshes, labels, options.output, camera=camera, columns=4, title=f"{options.shape.stem}, smoothed")
+    picture = contact_sheet(meshes, labels, camera=camera, columns=4, size=240)
+    Image.fromarray(picture).quantize(128).save(options.output, optimize=True)
     print(options.output)
 
 

@@ -4,7 +4,7 @@
 
 A field is fitted to each mesh, its surface extracted, and a few handles are held, moved and turned. `blended`, `arap`
 and `shell` are what `levelflow edit` does with `--rigid`: the field follows in `--steps` steps, and its surface is
-extracted anew in each. `libigl` deforms the first of these surfaces once, in as many steps of its handles, with
+extracted at the end. `libigl` deforms the first of these surfaces once, in as many steps of its handles, with
 100 iterations for each; there is no field. Writes a table and a picture.
 
 Columns:
@@ -142,7 +142,7 @@ def edited(field: Placed, edit: flows.Edit, *, steps: int, resolution: int) -> M
     """The surface of the field after it has followed an edit."""
     room = Box.around(edit.deformed(steps=steps).vertices)
     box = field.box.union(room).expanded(0.125 * max(field.box.size))
-    found = evolve(field, edit, dt=1 / steps, steps=steps, box=box, resolution=resolution, substeps=1)
+    found = evolve(field, edit, dt=1 / steps, steps=steps, box=box, resolution=resolution, substeps=1, remesh=False)
     return extract(found.at(1.0), resolution=resolution, refine=2)
 
 

@@ -6,7 +6,8 @@ import copy
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -45,6 +46,7 @@ class Step:
         time: Where the flow has come to.
         mesh: The surface that the step ended with, as the flow moved it.
         field: The field that follows it.
+        evolution: The whole evolution until now, to be saved.
         gap: The mean distance of the field's surface from that mesh, in the units of the shape.
         rounds: Rounds of training that it took, of all parts if the step had to be halved.
         parts: Into how many parts the step was divided.
@@ -55,6 +57,7 @@ class Step:
     time: float
     mesh: Mesh
     field: Placed
+    evolution: Placed
     gap: float
     rounds: int
     parts: int
@@ -84,6 +87,7 @@ def evolve(
     resolution: int = 96,
     substeps: int = 4,
     tolerance: float = TOLERANCE,
+    remesh: bool = True,
     sampling: Sampling = FOLLOWING,
     seed: int = 0,
     on_step: Callable[[Step], None] | None = None,
@@ -109,6 +113,10 @@ def evolve(
         resolution: Cells of the extraction along the longest side of the box.
         substeps: How many steps of the flow a step of time is for the mesh, which costs little.
         tolerance: The mean distance, in half sides of the box, within which the surface is to follow.
+        remesh: Whether the surface is extracted anew in each step. Then bodies can merge and break, and no triangle
+            becomes bad, but what a step misses stays missed. Else the flow moves one mesh all the way, the surface as
+            it is at first, and each step is held to where its points belong: for motions that keep the topology and do
+            not stretch triangles too far, such as `flows.Edit`.
         sampling: How many samples a step of training draws.
         seed: Of every random choice. Each step has its own, so that a continued evolution is as one without a break.
         on_step: Called after each step of time.
@@ -132,10 +140,12 @@ def evolve(
         )
     networks, times, current = _begun(field, box)
     follower = _Follower(flow, resolution, substeps, tolerance, sampling, seed)
+    if not remesh:
+        follower.begin(Placed(networks[0], current.box), times)
     last = len(networks) - 1 + steps
     while len(networks) <= last:
         try:
-            step = follower.step(current, times[-1], dt, number=len(networks), steps=last)
+            step = follower.step(networks, times, current, dt, steps=last)
         except NotFollowed as error:
             error.field = _evolution(networks, times, current.box, flow) if len(networks) > 1 else None
             raise
@@ -179,8 +189,33 @@ def _evolution(networks: Sequence[Field], times: Sequence[float], box: Box, flow
 
 
 @dataclass(frozen=True)
+class _Track:
+    """Where a surface started, and where its mesh has come to.
+
+    Attributes:
+        field: The field at first.
+        mesh: Its surface.
+        displacement: Of the vertices since.
+    """
+
+    field: Placed
+    mesh: Mesh
+    displacement: np.ndarray
+
+    @property
+    def moved(self) -> Mesh:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", MeshWarning)
+            return Mesh(self.mesh.vertices + self.displacement, self.mesh.faces)
+
+
+@dataclass
 class _Follower:
-    """Takes a field along with the flow of its mesh, a step of time after another."""
+    """Takes a field along with the flow of its mesh, a step of time after another.
+
+    Attributes:
+        track: The mesh that is moved all the way; None if each step has a new one.
+    """
 
     flow: Flow
     resolution: int
@@ -188,20 +223,33 @@ class _Follower:
     tolerance: float
     sampling: Sampling
     seed: int
+    track: _Track | None = None
 
-    def step(self, field: Placed, time: float, dt: float, *, number: int, steps: int) -> Step:
-        """One step of time, in as many parts as it takes."""
+    def begin(self, field: Placed, times: Sequence[float]) -> None:
+        """Extracts the surface of the first field, and moves it through the times that there are already."""
+        self.track = self._extracted(field, times[0])
+        for start, end in pairwise(times):
+            self.track = self._moved(self.track, start, end - start)
+
+    def step(self, networks: Sequence[Field], times: Sequence[float], field: Placed, dt: float, *, steps: int) -> Step:
+        """One step of time, in as many parts as it takes, after those that there are already."""
+        number, time = len(networks), times[-1]
         for halvings in range(HALVINGS + 1):
-            parts, rounds, current = 2**halvings, 0, field
+            parts, rounds, current, track = 2**halvings, 0, field, self.track
             generator = torch.Generator().manual_seed(self.seed + 1000 * number + halvings)
             for part in range(parts):
-                wanted = self._moved(current, time + part * dt / parts, dt / parts, generator)
+                start = time + part * dt / parts
+                moved = self._moved(track or self._extracted(current, start), start, dt / parts)
+                track = track and moved
+                wanted = _Wanted(moved.moved, self._samples(moved, generator))
                 current, gap, taken = self._followed(current, wanted, generator)
                 rounds += taken
                 if gap > self.tolerance * field.box.frame.scale:
                     break
             else:
-                return Step(number, steps, time + dt, wanted.mesh, current, gap, rounds, parts)
+                self.track = track
+                evolution = _evolution([*networks, current.field], [*times, time + dt], current.box, self.flow)
+                return Step(number, steps, time + dt, wanted.mesh, current, evolution, gap, rounds, parts)
         raise NotFollowed(
             f"evolve: from t = {time:g} on the field does not follow the flow: its surface stays {gap:.3g} away on "
             f"average, where {self.tolerance * field.box.frame.scale:.3g} is asked for, even in steps of "
@@ -209,8 +257,8 @@ class _Follower:
             "Give a wider network, a larger `tolerance`, or a smaller `dt`."
         )
 
-    def _moved(self, field: Placed, time: float, dt: float, generator: torch.Generator) -> _Wanted:
-        """The mesh of a field after a part of a step, and what it asks of the field."""
+    def _extracted(self, field: Placed, time: float) -> _Track:
+        """The surface of a field, where it is."""
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error", ExtractionWarning)
@@ -221,14 +269,14 @@ class _Follower:
             raise NotFollowed(
                 f"evolve: at t = {time:g} the surface meets the box of the field; give evolve(box=...) more room."
             ) from warning
-        displacement, moved = np.zeros_like(mesh.vertices), mesh
+        return _Track(field, mesh, np.zeros_like(mesh.vertices))
+
+    def _moved(self, track: _Track, time: float, dt: float) -> _Track:
+        """A surface after a part of a step."""
         for i in range(self.substeps):
-            part = self._displacement(moved, time + i * dt / self.substeps, dt / self.substeps)
-            displacement = displacement + part
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", MeshWarning)
-                moved = Mesh(mesh.vertices + displacement, mesh.faces)
-        return _Wanted(moved, self._samples(field, mesh, moved, displacement, generator))
+            part = self._displacement(track.moved, time + i * dt / self.substeps, dt / self.substeps)
+            track = replace(track, displacement=track.displacement + part)
+        return track
 
     def _displacement(self, mesh: Mesh, time: float, dt: float) -> np.ndarray:
         """What the flow does to a mesh, if it does what a flow is to do."""
@@ -240,9 +288,7 @@ class _Follower:
             )
         return displacement
 
-    def _samples(
-        self, field: Placed, mesh: Mesh, moved: Mesh, displacement: np.ndarray, generator: torch.Generator
-    ) -> Given:
+    def _samples(self, track: _Track, generator: torch.Generator) -> Given:
         """Points on the moved surface and distances around it.
 
         The faces of a mesh cut corners, by more after many steps than may be lost, and what is finer than they are they
@@ -252,13 +298,14 @@ class _Follower:
         the points from which one starts. What has come to lie inside is not on the surface, and distances around it are
         those from what is.
         """
+        field, mesh, moved = track.field, track.mesh, track.moved
         n, frame = self.sampling.given, field.box.frame
         cell = max(field.box.size) / self.resolution
         outer, distance = _outside(moved, cell=cell)
         face, shares = _spread(mesh, n, generator)
         x, offset = (
             torch.from_numpy(np.einsum("nk,nkd->nd", shares, of[mesh.faces[face]]))
-            for of in (mesh.vertices, displacement)
+            for of in (mesh.vertices, track.displacement)
         )
         x, normals = _projected(field, x)
         normals = _turned(mesh, moved, face, normals)

@@ -218,3 +218,24 @@ def test_what_is_finer_than_the_mesh_stays() -> None:
     after = evolve(field, still, dt=1.0, steps=2, resolution=24, sampling=LITTLE)
     before, now = (extract(f, resolution=200, refine=3) for f in (field, after.at(2.0)))
     assert before.closest(now.vertices).distance.mean() < 1.5e-3
+
+
+def test_one_mesh_all_the_way_strays_less_and_can_be_continued() -> None:
+    """A turn in four steps, on cells as large as the corners are round."""
+    field, quarter = fitted(Rectangle((1.2, 0.8), radius=0.1)), math.pi / 8
+    start = extract(field, resolution=200, refine=3)
+    turned = Mesh(start.vertices + Turn().displacement(start, 4 * quarter, time=0.0), start.faces)
+
+    def error(after: Placed) -> float:
+        now = extract(after.at(4 * quarter), resolution=200, refine=3)
+        return float(turned.closest(now.vertices).distance.mean())
+
+    anew, one = (
+        evolve(field, Turn(), dt=quarter, steps=4, resolution=24, tolerance=2e-3, remesh=remesh, sampling=LITTLE)
+        for remesh in (True, False)
+    )
+    assert error(one) < 0.7 * error(anew)
+    half = evolve(field, Turn(), dt=quarter, steps=2, resolution=24, tolerance=2e-3, remesh=False, sampling=LITTLE)
+    whole = evolve(half, Turn(), dt=quarter, steps=2, resolution=24, tolerance=2e-3, remesh=False, sampling=LITTLE)
+    x = BOX.uniform(50, generator=torch.Generator().manual_seed(0))
+    assert whole.at(4 * quarter)(x).tolist() == one.at(4 * quarter)(x).tolist()

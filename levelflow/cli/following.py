@@ -113,6 +113,7 @@ def edit(
         count=count,
         resolution=resolution,
         substeps=1,
+        remesh=False,
         box=larger,
         title=f"{shape}: edited",
     )
@@ -168,7 +169,7 @@ class Following:
 
     def run_through(
         self, field: Placed, flow: Flow, *, dt: float, count: int, resolution: int, title: str, substeps: int = 4,
-        box: Box | None = None,
+        remesh: bool = True, box: Box | None = None,
     ) -> list[Frame]:  # fmt: skip
         """Steps up to a count, and what the commands leave: the field, meshes, a contact sheet and a report."""
         from levelflow.evolution import evolve as follow
@@ -186,14 +187,15 @@ class Following:
             parts = f" in {step.parts} parts" if step.parts > 1 else ""
             self.run.say(f"  step {step.number} of {count}: t = {step.time:.6g}, followed within {step.gap:.3g}{parts}")
             records.append({"time": step.time, "gap": step.gap, "rounds": step.rounds, "parts": step.parts})
+            known = {"inputs": [self.shape], "settings": self.settings, "followed": records}
+            step.evolution.provenance |= known
+            save(step.evolution, self.file)
 
-        for _ in range(done, count):
+        if done < count:
             field = follow(
-                field, flow, dt=dt, steps=1, box=box, resolution=resolution, substeps=substeps, seed=self.run.seed,
-                on_step=on_step,
+                field, flow, dt=dt, steps=count - done, box=box, resolution=resolution, substeps=substeps,
+                remesh=remesh, seed=self.run.seed, on_step=on_step,
             )  # fmt: skip
-            field.provenance |= {"inputs": [self.shape], "settings": self.settings, "followed": records}
-            save(field, self.file)
         every = max(1, math.ceil(count / 8))
         times = [field.box.times[0][1] * i / count for i in [*range(0, count, every), count]]
         frames = write_frames(

@@ -278,7 +278,7 @@ def ball(options: argparse.Namespace) -> Section:
     section.found = (
         f"in the end the radius is wrong by {wrong['ours']:.1%} on average under ours, by {wrong['MeshSDF']:.1%} under "
         f"MeshSDF, by {wrong['MeshSDF, 8 descents']:.1%} with eight descents a step and by "
-        f"{wrong['ray marching']:.1%} under ray marching. What the steps of the flow itself take is in the tables further down."
+        f"{wrong['ray marching']:.1%} under ray marching. What the steps of the flow itself take is in the last tables."
     )
     return section
 
@@ -368,8 +368,8 @@ def orders(options: argparse.Namespace) -> Section:
     exact, torus, last = math.sqrt(RADIUS**2 - 4 * RATE * UNTIL), Torus(*TORUS[:2]), 0.8 * TORUS[2]
     section = Section(
         "Mean curvature flow of meshes alone: steps of time and cells",
-        f"A ball of radius {RADIUS:g}, until its radius is {exact:.4f}: by how many per cent the mean radius is wrong. A "
-        f"torus of the radii {TORUS[0]:g} and {TORUS[1]:g}: by how many per cent the time of its collapse is wrong, "
+        f"A ball of radius {RADIUS:g}, until its radius is {exact:.4f}: by how many per cent the mean radius is wrong. "
+        f"A torus of the radii {TORUS[0]:g} and {TORUS[1]:g}: by how many per cent the time of its collapse is wrong, "
         "foretold at 0.8 of it from the area of the section. Meshes extracted with so many cells along the box; the "
         "numbers of steps double, and from the last two come the limit and, with the one before, the order.",
     )
@@ -392,13 +392,13 @@ def orders(options: argparse.Namespace) -> Section:
     return section
 
 
-def cells(options: argparse.Namespace) -> Section:
+def resolutions(options: argparse.Namespace) -> Section:
     """The same with fields that follow."""
     exact, torus, last, steps = math.sqrt(RADIUS**2 - 4 * RATE * UNTIL), Torus(*TORUS[:2]), 0.8 * TORUS[2], 10
     section = Section(
         "Fields that follow mean curvature flow: cells",
-        f"The same ball and torus under `evolve`, in {steps} steps, each of 1 or 4 substeps of the mesh: by how many per "
-        "cent the mean radius and the time of the collapse are wrong, beside the mesh alone in as many steps.",
+        f"The same ball and torus under `evolve`, in {steps} steps, each of 1 or 4 substeps of the mesh: by how many "
+        "per cent the mean radius and the time of the collapse are wrong, beside the mesh alone in as many steps.",
     )
     add = section.table("ball", "field", "mesh alone", "slope", "s")
     start, flow = fitted(Sphere(RADIUS), steps=300), flows.MeanCurvature(RATE)
@@ -488,7 +488,7 @@ FIGURES: Mapping[str, Callable[[argparse.Namespace], Section | None]] = {
     "block": block,
     "scan": scan,
     "orders": orders,
-    "cells": cells,
+    "cells": resolutions,
 }
 
 

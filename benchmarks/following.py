@@ -5,8 +5,8 @@
 Each figure prints a table; all of them, with what the paper shows and a picture, are written as a document, which has
 its picture beside it. Figures: `plane` (figure 3: a flat side that moves along its normal), `tangential` (figure 4: a
 motion along a ball), `ball` (a ball under mean curvature, whose radius is known), `block` (figure 7: what has no holes
-becomes round), `scan` (figure 6: a scan is smoothed), `orders` (what the flow and its follower owe to the step of time
-and to the extraction).
+becomes round), `scan` (figure 6: a scan is smoothed), `orders` (what the flow of a mesh owes to the step of time and to
+the extraction), `cells` (the same of the field that follows).
 
 Rivals (meshsdf.py, raymarching.py) have the call of `evolve` and see the same flow of a mesh of the same resolution;
 what each row is stands at the head of the document. The paper says that they take a single step of gradient descent for
@@ -73,6 +73,9 @@ METHODS: Mapping[str, Callable[..., Placed]] = {
 }
 TORUS = (1.0, 0.5, 0.136644)
 """The radii of a torus, and when it collapses under mean curvature of rate 1 (`ring` of tests/axisymmetric.py)."""
+
+RADIUS, RATE, UNTIL = 0.5, 0.1, 0.25
+"""Of a ball under mean curvature, beside the torus: its radius, the rate and the time."""
 
 SMOOTHING = ("ours", "MeshSDF", "MeshSDF, 8 descents", "MeshSDF, Adam", "ray marching")
 """Methods that are asked to smooth."""
@@ -307,7 +310,7 @@ def scan(options: argparse.Namespace) -> Section | None:
         '"MeshSDF fails to smoothen the surface": "the deformation is not curvature based and high-frequency features '
         'are retained". No numbers.',
     )
-    return smoothed(section, start, rate=1.0, dt=1.25e-4, steps=8, tolerance=2e-3)
+    return smoothed(section, start, rate=1.0, dt=2.5e-4, steps=4, tolerance=2e-3)
 
 
 def smoothed(
@@ -361,58 +364,66 @@ def alone(mesh: Mesh, flow: Flow, dt: float, steps: int) -> Mesh:
 
 
 def orders(options: argparse.Namespace) -> Section:
-    """Orders of accuracy of the flow of a mesh, and of the field that follows it."""
-    radius, rate, until = 0.5, 0.1, 0.25
-    exact = math.sqrt(radius**2 - 4 * rate * until)
+    """Orders of accuracy of the flow of a mesh by itself."""
+    exact, torus, last = math.sqrt(RADIUS**2 - 4 * RATE * UNTIL), Torus(*TORUS[:2]), 0.8 * TORUS[2]
     section = Section(
-        "Steps of time and cells of the extraction",
-        f"Mean curvature of a ball of radius {radius:g}, to the radius {exact:.4f}: by how many per cent the mean "
-        f"radius is wrong. Of a torus of the radii {TORUS[0]:g} and {TORUS[1]:g}: by how many per cent the time of its "
-        "collapse is wrong, foretold at 0.8 of it from the area of the section. First extracted meshes alone, in "
-        "numbers of steps that double, with the order and what is left in the limit, extrapolated from the last two. "
-        "Then fields that follow such meshes; a substep is a step of the mesh within one of the field.",
+        "Mean curvature flow of meshes alone: steps of time and cells",
+        f"A ball of radius {RADIUS:g}, until its radius is {exact:.4f}: by how many per cent the mean radius is wrong. "
+        f"A torus of the radii {TORUS[0]:g} and {TORUS[1]:g}: by how many per cent the time of its collapse is wrong, "
+        "foretold at 0.8 of it from the area of the section. Meshes extracted with so many cells along the box; the "
+        "numbers of steps double, and from the last two come the limit and, with the one before, the order.",
     )
-    flow, counts, cells = flows.MeanCurvature(rate), (5, 10, 20, 40), (24, 48, 96)
-    titles = [f"{n} steps" for n in counts]
-    add = section.table("ball, the mesh alone", *titles, "limit", "order")
-    limits = []
+    counts, cells, limits = (20, 40, 80), (16, 32, 64), []
+    add = section.table("ball", *(f"{n} steps" for n in counts), "limit", "order")
     for resolution in cells:
-        start = extract(Sphere(radius).distance, box=CUBE, resolution=resolution, refine=3)
-        found = [radial(alone(start, flow, until / n, n), exact) for n in counts]
+        start = extract(Sphere(RADIUS).distance, box=CUBE, resolution=resolution, refine=3)
+        found = [radial(alone(start, flows.MeanCurvature(RATE), UNTIL / n, n), exact) for n in counts]
         limits.append(abs(2 * found[-1] - found[-2]))
         add(extrapolated(f"{resolution} cells", found))
-    torus, last = Torus(*TORUS[:2]), 0.8 * TORUS[2]
-    around = torus.box.expanded(0.2)
-    add = section.table("torus, the mesh alone", *titles, "limit", "order")
+    add = section.table("torus", *(f"{n} steps" for n in counts), "limit", "order")
     for resolution in cells:
-        start = extract(torus.distance, box=around, resolution=resolution, refine=3)
+        start = extract(torus.distance, box=torus.box.expanded(0.2), resolution=resolution, refine=3)
         found = [collapse(alone(start, flows.MeanCurvature(1.0), last / n, n), last) for n in counts]
         add(extrapolated(f"{resolution} cells", found))
-    counts, titles = counts[:2], titles[:2]
-    static = fitted(Sphere(radius), steps=300)
-    add = section.table("ball, `evolve`", *titles, "s")
-    for resolution, substeps in ((64, 1), (32, 4), (64, 4), (96, 4)):
-        runs = [
-            followed("ours", static, flow, dt=until / n, steps=n, resolution=resolution, substeps=substeps)
-            for n in counts
-        ]
-        errors = [percent(radial(surface(moved, until)[0], exact)) for moved, _ in runs]
-        add([f"{resolution} cells, {substeps} substep{'s' * (substeps > 1)}", *errors, total(runs)])
-    static = fitted(torus, box=around)
-    add = section.table("torus, `evolve`", *titles, "s")
-    for resolution in (32, 64, 96):
-        runs = [
-            followed("ours", static, flows.MeanCurvature(1.0), dt=last / n, steps=n, resolution=resolution)
-            for n in counts
-        ]
-        errors = [percent(collapse(surface(moved, last, 96)[0], last)) for moved, _ in runs]
-        add([f"{resolution} cells, 4 substeps", *errors, total(runs)])
     section.found = (
-        "the flow is of the first order in the step of time; without it the ball is wrong by "
-        f"{', '.join(f'{limit:.3%}' for limit in limits)} for {', '.join(map(str, cells))} cells: halved cells bring "
-        f"it to {limits[1] / limits[0]:.2f} and {limits[2] / limits[1]:.2f} of itself (second order is 0.25). What the "
-        "field adds is seen where the last two tables differ from the first."
+        "the flow is of about the first order in the step of time. Extrapolated to no step at all, the ball is wrong by "
+        f"{', '.join(f'{limit:.3%}' for limit in limits)} for {', '.join(map(str, cells))} cells, which is the order "
+        f"{math.log2(limits[0] / limits[2]) / 2:.1f} in the cells."
     )
+    return section
+
+
+def resolutions(options: argparse.Namespace) -> Section:
+    """The same with fields that follow."""
+    exact, torus, last, steps = math.sqrt(RADIUS**2 - 4 * RATE * UNTIL), Torus(*TORUS[:2]), 0.8 * TORUS[2], 10
+    section = Section(
+        "Fields that follow mean curvature flow: cells",
+        f"The same ball and torus under `evolve`, in {steps} steps, each of 1 or 4 substeps of the mesh: by how many "
+        "per cent the mean radius and the time of the collapse are wrong, beside the mesh alone in as many steps.",
+    )
+    add = section.table("ball", "field", "mesh alone", "slope", "s")
+    start, flow = fitted(Sphere(RADIUS), steps=300), flows.MeanCurvature(RATE)
+    for resolution, substeps in ((64, 1), (32, 4), (64, 4), (96, 4)):
+        moved, seconds = followed(
+            "ours", start, flow, dt=UNTIL / steps, steps=steps, resolution=resolution, substeps=substeps
+        )
+        first = extract(start, resolution=resolution, refine=3)
+        other = alone(first, flow, UNTIL / (steps * substeps), steps * substeps)
+        found, x = surface(moved, UNTIL)
+        add([
+            f"{resolution} cells, {substeps} substeps", percent(radial(found, exact)), percent(radial(other, exact)),
+            slopes(moved, UNTIL, x), f"{seconds:.0f}",
+        ])  # fmt: skip
+    add = section.table("torus", "field", "mesh alone", "slope", "s")
+    start, flow = fitted(torus, box=torus.box.expanded(0.2)), flows.MeanCurvature(1.0)
+    for resolution in (32, 64, 96):
+        moved, seconds = followed("ours", start, flow, dt=last / steps, steps=steps, resolution=resolution)
+        other = alone(extract(start, resolution=resolution, refine=3), flow, last / (4 * steps), 4 * steps)
+        found, x = surface(moved, last, 96)
+        add([
+            f"{resolution} cells, 4 substeps", percent(collapse(found, last)), percent(collapse(other, last)),
+            slopes(moved, last, x), f"{seconds:.0f}",
+        ])  # fmt: skip
     return section
 
 
@@ -440,10 +451,6 @@ def extrapolated(label: str, errors: Sequence[float]) -> list[str]:
 
 def percent(value: float) -> str:
     return f"{100 * value:+.3f}"
-
-
-def total(runs: Sequence[tuple[Placed, float]]) -> str:
-    return f"{sum(seconds for _, seconds in runs):.0f}"
 
 
 def roundness(mesh: Mesh) -> str:
@@ -482,6 +489,7 @@ FIGURES: Mapping[str, Callable[[argparse.Namespace], Section | None]] = {
     "block": block,
     "scan": scan,
     "orders": orders,
+    "cells": resolutions,
 }
 
 

@@ -170,7 +170,8 @@ def evolve(
             wanted = mesh.vertices + displacement
             left = float(gap(current, wanted).mean())
             now = Placed(networks[-1], field.box)
-            on_step(Step(number, steps, number * dt, Mesh(wanted, mesh.faces), now, left, parts, parts))
+            so_far = _evolution(networks, dt, field)
+            on_step(Step(number, steps, number * dt, Mesh(wanted, mesh.faces), now, so_far, left, parts, parts))
     return _evolution(networks, dt, field)
 
 

@@ -59,6 +59,7 @@ _HOMES = {
     "image": "rendering",
     "lift": "networks.lifting",
     "load": "saving",
+    "sample_surface": "shapes.sampling",
     "save": "saving",
     "sliced": "networks.siren",
     "solve": "solving",
@@ -106,6 +107,7 @@ if TYPE_CHECKING:
         Translated,
     )
     from levelflow.shapes.implicit import Implicit
+    from levelflow.shapes.sampling import sample_surface
     from levelflow.solving import solve
     from levelflow.transported import Transported
 

@@ -80,7 +80,7 @@ STEPS = {
     ),
     "shapes": (
         ("shape",),
-        ("reading", "simplices", "writing"),
+        ("reading", "sampling", "simplices", "writing"),
         ("distance",),
         ("analytic", "cloud", "combined", "implicit", "level", "mesh", "tabulated"),
     ),

@@ -61,6 +61,7 @@ _HOMES = {
     "load": "saving",
     "sample_surface": "shapes.sampling",
     "save": "saving",
+    "scale_curvature": "filtering",
     "sliced": "networks.siren",
     "solve": "solving",
 }
@@ -75,6 +76,7 @@ if TYPE_CHECKING:
     from levelflow.evolution import evolve
     from levelflow.extraction import EmptyLevelSet, extract
     from levelflow.fields import Deformed, Field, Map, Placed
+    from levelflow.filtering import scale_curvature
     from levelflow.fitting import fit
     from levelflow.jets import Jet
     from levelflow.keyframed import Keyframed

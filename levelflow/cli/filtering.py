@@ -70,8 +70,8 @@ def filter_shape(
 
     if not factor >= 0 or not all(value is None or value > 0 for value in (wavelength, threshold)):
         raise ValueError(
-            f"filter --factor {factor:g} --wavelength {wavelength} --threshold {threshold}: the factor must be at least "
-            "0, and the others positive."
+            f"filter --factor {factor:g} --wavelength {wavelength} --threshold {threshold}: the factor must be at "
+            "least 0, and the others positive."
         )
     run = Run(steps, seconds, seed, device, quiet, resume, width, depth)
     key = key_named(shape)

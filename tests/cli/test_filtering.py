@@ -54,9 +54,9 @@ def test_a_field_is_filtered_as_it_is_with_lengths_by_its_size(run, here):
         (("filter", "sphere", "--resume"), "there is no interrupted run in sphere-filter"),
         (
             ("filter", "sphere", "--factor=-1"),
-            "filter --factor -1 --wavelength None --threshold None: the factor must be",
+            "filter --factor -1 --wavelength None --threshold None: the",
         ),
-        (("filter", "sphere", "--wavelength", 0), "at least 0, and the others positive"),
+        (("filter", "sphere", "--wavelength", 0), "least 0, and the others positive"),
     ],
 )
 def test_wrong_use_is_explained(run, here, arguments, message):

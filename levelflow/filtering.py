@@ -62,9 +62,9 @@ def scale_curvature(
         field: A static field made by `fit`; it is not changed.
         factor: $\beta$, at least 0. At 0 the curvature of the given field is not computed.
         wavelength: $\ell$, in the units of the shape; by default a twentieth of the longest side of the box.
-        threshold: Where $|\kappa|$ or $|\kappa_f|$ is above this, in 1 / length, curvature is left as it is: creases,
-            and what a network does between them. By default $2 \pi / \ell$, that of a ripple of slope 1, if the factor
-            is above 1, where what is steep would grow and fold; else none.
+        threshold: Where $|\kappa_f|$ is above this, in 1 / length, it is nothing to go by: at creases, and in what a
+            network does between them. Such points are left out, and errors beyond it count like a logarithm only. By
+            default $2 \pi / \ell$, the curvature of a ripple of slope 1.
         budget: Steps, or seconds, of training.
         sampling: How many samples a step draws: `space_time` for the curvature.
         seed: Of every random choice.
@@ -83,7 +83,8 @@ def scale_curvature(
 
     Reference:
         Yang et al., Geometry Processing with Neural Fields, NeurIPS 2021, Sec. 4; there with a weight in the place of
-        the length, curvature in the whole box, and always a threshold.
+        the length, curvature in the whole box, and points
+        left out where the new curvature is above the threshold too, so that nothing draws them back.
     """
     if not isinstance(field, Placed):
         raise TypeError(f"scale_curvature: {type(field).__name__} is no field in a box; make one, fit(SIREN(), shape).")
@@ -95,12 +96,12 @@ def scale_curvature(
         raise ValueError(f"scale_curvature(f, {factor:g}): the factor must be at least 0: 0 smooths most, 2 sharpens.")
     unit = field.box.frame.scale
     length = FINE * unit if wavelength is None else wavelength
-    sharpest = threshold if threshold is not None else 2 * math.pi / length if length > 0 and factor > 1 else math.inf
-    if not 0 < length < math.inf or not sharpest > 0:
+    if not 0 < length < math.inf or not (threshold is None or 0 < threshold < math.inf):
         raise ValueError(
-            f"scale_curvature(wavelength={length:g}, threshold={sharpest:g}): both must be positive, a length and a "
+            f"scale_curvature(wavelength={length:g}, threshold={threshold}): both must be positive, a length and a "
             f"curvature in the units of the shape; half of its box is {unit:g} long."
         )
+    sharpest = 2 * math.pi / length if threshold is None else threshold
     made = Placed(copy.deepcopy(field.field), field.box)
     generator = torch.Generator().manual_seed(seed)
     given = Given.of(
@@ -111,7 +112,7 @@ def scale_curvature(
         like=next(field.parameters()),
         periodic=field.periodic,
     )
-    points, targets = _targets(field.field, given.points, factor, threshold=sharpest * unit)
+    points, targets = scaled_targets(field.field, given.points, factor, threshold=sharpest * unit)
     if not len(points):
         raise ValueError(
             f"scale_curvature(threshold={sharpest:g}): the surface is bent more everywhere; give a larger one."
@@ -130,15 +131,15 @@ def scale_curvature(
     except Divergence as error:
         error.field = made
         raise
-    made.provenance = {"verb": "filter", "factor": factor, "wavelength": length, "seed": seed, "steps": progress.step}
-    made.provenance |= {"threshold": None if sharpest == math.inf else sharpest}
+    made.provenance = {"verb": "filter", "factor": factor, "wavelength": length, "threshold": sharpest}
+    made.provenance |= {"seed": seed, "steps": progress.step}
     made.provenance |= {"budget": asdict(budget), "sampling": asdict(sampling)}
     made.provenance["moved"] = accuracy(made, Implicit(field), seed=seed)
     return made
 
 
 @torch.no_grad()
-def _targets(
+def scaled_targets(
     field: Field, points: Float[Tensor, "m d"], factor: float, *, threshold: float
 ) -> tuple[Float[Tensor, "n d"], Float[Tensor, " n"]]:
     """The points where the curvature is to be scaled, and what it is to be there; at a factor of 0 no work at all."""
@@ -220,8 +221,9 @@ class Curvature:
         x, targets = batch
         jet = self.field.jet(x, order=2)
         kappa = total_curvature(jet)
-        kept = (kappa.detach().abs() < self.threshold) & (gradient_norm(jet) > 0.05)
-        return torch.where(kept, (kappa - targets) ** 2, 0.0)
+        error = kappa - targets
+        loss = self.threshold**2 * torch.log1p((error / self.threshold) ** 2)
+        return torch.where(gradient_norm(jet) > 0.05, loss, 0.0)
 
     @torch.no_grad()
     def _followed(self, x: Float[Tensor, "n d"], *, steps: int = 2) -> Float[Tensor, "n d"]:

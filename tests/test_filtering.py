@@ -10,7 +10,7 @@ from torch import Tensor
 
 from levelflow import SIREN, Box, Budget, Circle, Divergence, Implicit, Placed, Polygon, Sampling, fit, scale_curvature
 from levelflow.curvature import total_curvature
-from levelflow.filtering import Curvature, Near
+from levelflow.filtering import Curvature, Near, scaled_targets
 from levelflow.minimising import Progress
 from tests.fields import Explicit, siren
 
@@ -99,21 +99,37 @@ def test_a_field_is_not_changed_and_at_zero_its_curvature_not_asked_for(monkeypa
     assert all(torch.equal(a, b) for a, b in zip(before, field.parameters(), strict=True))
 
 
-def test_curvature_above_the_threshold_is_left_alone() -> None:
-    """A quarter-circle corner in a field of straight lines: only what is bent less is charged."""
-    bent = Explicit(lambda x, t: (x * x).sum(1).sqrt() - 0.1, 2, box=Box((-1.0, -1.0), (1.0, 1.0)))
+def test_curvature_above_the_threshold_is_nothing_to_go_by() -> None:
+    """Of two circles only the larger one is asked for its curvature; at a factor of 0 neither is, and both stay."""
+    two = Explicit(
+        lambda x, t: torch.minimum(
+            (x - x.new_tensor([0.5, 0.0])).norm(dim=1) - 0.3, (x + x.new_tensor([0.5, 0.0])).norm(dim=1) - 0.1
+        ),
+        2,
+    )
+    angle = torch.arange(20).double()
+    ring = torch.stack([angle.cos(), angle.sin()], dim=1)
+    x = torch.cat([0.3 * ring + torch.tensor([0.5, 0.0]), 0.1 * ring - torch.tensor([0.5, 0.0])])
+    points, targets = scaled_targets(two, x, 2.0, threshold=9.0)
+    assert torch.equal(points, x[:20]) and torch.allclose(targets, targets.new_tensor(20 / 3))
+    points, targets = scaled_targets(two, x, 0.0, threshold=9.0)
+    assert torch.equal(points, x) and not targets.any()
+
+
+def test_errors_beyond_the_threshold_count_like_a_logarithm() -> None:
+    bent = Explicit(lambda x, t: (x * x).sum(1).sqrt() - 0.1, 2)
     x = 0.1 * torch.nn.functional.normalize(torch.randn(20, 2, dtype=torch.float64), dim=1)
-    for threshold, charged in ((11.0, True), (9.0, False)):
+    for threshold in (1e-3, 1e4):
         term = Curvature(bent, x, torch.zeros(20).double(), n=20, fine=0.1, threshold=threshold)
-        assert (term.loss(*term.sample(torch.Generator().manual_seed(0))) > 99).all() == charged
-        assert (term.loss(x, torch.zeros(20).double()) == 0).all() != charged
+        loss = threshold**2 * math.log1p((10 / threshold) ** 2)
+        assert torch.allclose(term.loss(*term.sample(torch.Generator().manual_seed(0))), x.new_tensor(loss))
 
 
 def test_curvature_is_that_of_the_new_surface() -> None:
     """Points of a circle of radius 0.5 are followed to one of 0.4, about which nothing else is known."""
     new = Explicit(lambda x, t: (x * x).sum(1).sqrt() - 0.4, 2)
     x = 0.5 * torch.nn.functional.normalize(torch.randn(50, 2, dtype=torch.float64), dim=1)
-    term = Curvature(new, x, torch.full((50,), 2.0).double(), n=50, fine=0.2 * math.pi, threshold=math.inf)
+    term = Curvature(new, x, torch.full((50,), 2.0).double(), n=50, fine=0.2 * math.pi, threshold=1e6)
     followed, targets = term.sample(torch.Generator().manual_seed(0))
     assert torch.allclose(followed.norm(dim=1), followed.new_tensor(0.4))
     assert torch.allclose(term.loss(followed, targets), followed.new_tensor(0.25))
@@ -147,7 +163,7 @@ def test_wrong_use_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
         scale_curvature(moving, 0.0)
     with pytest.raises(ValueError, match=r"scale_curvature\(f, -1\): the factor must be at least 0"):
         scale_curvature(field, -1.0)
-    with pytest.raises(ValueError, match=r"wavelength=0, threshold=inf\): both must be positive, a length and a"):
+    with pytest.raises(ValueError, match=r"wavelength=0, threshold=None\): both must be positive, a length and a"):
         scale_curvature(field, 0.0, wavelength=0.0)
     with pytest.raises(ValueError, match=r"threshold=0\): both must be positive"):
         scale_curvature(field, 0.0, threshold=0.0)

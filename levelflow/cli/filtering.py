@@ -45,7 +45,7 @@ def filter_shape(
     ] = None,
     threshold: Annotated[
         float | None,
-        typer.Option(help="Curvature, in 1 / length, above which a place is left out; by default only to sharpen."),
+        typer.Option(help="Curvature, in 1 / length, beyond which it is nothing to go by [2 pi / wavelength]."),
     ] = None,
     relative: Relative = False,
     resolution: Resolution = 128,

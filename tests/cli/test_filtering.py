@@ -1,6 +1,7 @@
 """`levelflow filter` as a user meets it."""
 
 import json
+import math
 
 import pytest
 import torch
@@ -27,7 +28,11 @@ def test_a_shape_is_fitted_and_filtered(run, here):
         "after.ply", "before.ply", "before.safetensors", "field.safetensors", "filter.png", "report.json"
     ]  # fmt: skip
     report = json.loads((here / "out" / "report.json").read_text())
-    assert report["steps"] == 5 and report["settings"]["factor"] == 0.5 and report["threshold"] is None
+    assert (
+        report["steps"] == 5
+        and report["settings"]["factor"] == 0.5
+        and report["threshold"] * report["wavelength"] == pytest.approx(2 * math.pi)
+    )
     assert Mesh.read(here / "out" / "after.ply").volume == pytest.approx(
         report["surfaces"]["after"]["volume"], rel=1e-3
     )

@@ -59,7 +59,9 @@ _HOMES = {
     "image": "rendering",
     "lift": "networks.lifting",
     "load": "saving",
+    "sample_surface": "shapes.sampling",
     "save": "saving",
+    "scale_curvature": "filtering",
     "sliced": "networks.siren",
     "solve": "solving",
 }
@@ -74,6 +76,7 @@ if TYPE_CHECKING:
     from levelflow.evolution import evolve
     from levelflow.extraction import EmptyLevelSet, extract
     from levelflow.fields import Deformed, Field, Map, Placed
+    from levelflow.filtering import scale_curvature
     from levelflow.fitting import fit
     from levelflow.jets import Jet
     from levelflow.keyframed import Keyframed
@@ -106,6 +109,7 @@ if TYPE_CHECKING:
         Translated,
     )
     from levelflow.shapes.implicit import Implicit
+    from levelflow.shapes.sampling import sample_surface
     from levelflow.solving import solve
     from levelflow.transported import Transported
 

@@ -36,7 +36,7 @@ STEPS = {
     "cli": (
         ("names", "options"),
         ("lifting", "masking", "retiming", "running", "showing", "taking"),
-        ("families", "following", "viewing"),
+        ("families", "filtering", "following", "viewing"),
         ("commands",),
     ),
     "equations": (
@@ -80,7 +80,7 @@ STEPS = {
     ),
     "shapes": (
         ("shape",),
-        ("reading", "simplices", "writing"),
+        ("reading", "sampling", "simplices", "writing"),
         ("distance",),
         ("analytic", "cloud", "combined", "implicit", "level", "mesh", "tabulated"),
     ),

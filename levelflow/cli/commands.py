@@ -11,6 +11,7 @@ import typer
 
 from levelflow._version import __version__
 from levelflow.cli.families import family, mix
+from levelflow.cli.filtering import filter_shape
 from levelflow.cli.following import edit
 from levelflow.cli.following import evolve as follow
 from levelflow.cli.lifting import lift, slice_field
@@ -430,6 +431,7 @@ app.command("evolve")(follow)
 app.command()(export)
 app.command()(family)
 app.command()(film)
+app.command("filter")(filter_shape)
 app.command()(lift)
 app.command()(render)
 app.command()(retime)

@@ -235,6 +235,23 @@ def _carried(
     return field
 
 
+def interrupted(run: Run, kept: Checkpoint) -> dict[str, Tensor] | None:
+    """The state to go on from, if that is asked for.
+
+    Raises:
+        ValueError: If there is none, or there is one that nobody asked for and that would be lost.
+    """
+    state = kept.state if run.resume else None
+    if run.resume and state is None:
+        raise ValueError(f"--resume: there is no interrupted run in {kept.path.parent}; leave --resume out.")
+    if not run.resume and kept.path.exists():
+        raise ValueError(
+            f"{kept.path.parent} holds an interrupted run. Go on with it by --resume, "
+            f"choose another output, or remove {kept.path}."
+        )
+    return state
+
+
 @contextmanager
 def training(
     run: Run, title: str, kept: Checkpoint
@@ -244,14 +261,7 @@ def training(
     from levelflow.progress import Bar
     from levelflow.saving import save
 
-    state = kept.state if run.resume else None
-    if run.resume and state is None:
-        raise ValueError(f"--resume: there is no interrupted run in {kept.path.parent}; leave --resume out.")
-    if not run.resume and kept.path.exists():
-        raise ValueError(
-            f"{kept.path.parent} holds an interrupted run. Go on with it by --resume, "
-            f"choose another output, or remove {kept.path}."
-        )
+    state = interrupted(run, kept)
     if state is not None:
         run.say(f"going on from step {int(state['progress'][0])}")
     with Bar(title, quiet=run.quiet) as bar:

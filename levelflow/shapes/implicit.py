@@ -10,13 +10,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from levelflow.boxes import Box
-from levelflow.curvature import gradient_norm, normal
 from levelflow.fields import Field
+from levelflow.shapes.sampling import NoSurface as NoSurface
+from levelflow.shapes.sampling import gap, sample_surface
 from levelflow.shapes.shape import Samples, Shape, Solid
-
-
-class NoSurface(ValueError):
-    """The field has no zero where it was looked for."""
 
 
 def value_of(key: Solid | Field) -> Callable[[Tensor], Tensor]:
@@ -27,7 +24,7 @@ def value_of(key: Solid | Field) -> Callable[[Tensor], Tensor]:
 
 
 class Implicit(Shape):
-    """The zero set of a static field, sampled by projection.
+    """The zero set of a static field.
 
     Args:
         field: A field with k = 0.
@@ -54,37 +51,12 @@ class Implicit(Shape):
         return around.expanded(0.01 * max(around.size))
 
     def sample(self, n: int, *, generator: torch.Generator) -> Samples:
-        """n points of the surface by Newton steps from uniform points of the box.
-
-        Only points within a thin band around the surface are taken, by |f| / |grad f|, so that the density of the
-        samples is nearly uniform by area. Where the surface fills little of the box, the search closes in on it.
+        """n points of the surface, uniform by area; see `sample_surface`.
 
         Raises:
             NoSurface: If the field has no zero in the box.
         """
-        box, found, count = self._search, [], 0
-        for attempt in range(64):
-            x = box.uniform(8 * n, generator=generator)
-            x, normals = self._project(x[self.gap(x) < 0.05 * max(box.size)])
-            found.append(Samples(x.cpu(), normals.cpu()))
-            count += len(x)
-            if count >= n:
-                return Samples(torch.cat([s.points for s in found])[:n], torch.cat([s.normals for s in found])[:n])
-            if attempt % 4 == 3:
-                if not count:
-                    if attempt > 8:
-                        break
-                    continue
-                # A few points show only a part of the surface, so the box around them is widened; and they go, for
-                # they are denser or sparser than those of the new box.
-                around = Box.around(torch.cat([s.points for s in found]))
-                margin = 1.0 if count < 200 else 0.1
-                box = around.expanded(margin * max(*around.size, 1e-3 * max(self._search.size)))
-                found, count = [], 0
-        raise NoSurface(
-            f"Implicit.sample: the field has (almost) no zero in the box {self._search.lower} to "
-            f"{self._search.upper}; its surface has vanished or lies outside."
-        )
+        return sample_surface(self.field, n, box=self._search, generator=generator)
 
     def value(self, x: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
         """The field, continued beyond its box as it repeats itself, or else by the distance to that box."""
@@ -96,20 +68,6 @@ class Implicit(Shape):
         out = beyond > 0
         return self.field(inside).to(x) + torch.where(out, beyond.where(out, 1.0).sqrt(), 0.0)
 
-    @torch.no_grad()
     def gap(self, x: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-        """|f| / |grad f|, the distance of points to the surface to first order; in pieces, for the sake of memory."""
-        jets = [self.field.jet(part, order=1) for part in x.split(1 << 15)]
-        return torch.cat([jet.value.abs() / gradient_norm(jet) for jet in jets]).to(x)
-
-    @torch.no_grad()
-    def _project(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Points moved to the surface by four Newton steps, and the normals; points that do not arrive are dropped."""
-        for _ in range(4):
-            jet = self.field.jet(x, order=1)
-            step = (jet.value / gradient_norm(jet) ** 2)[:, None] * jet.gradient
-            x = x - step.to(x)
-        jet = self.field.jet(x, order=1)
-        arrived = (jet.value.abs() / gradient_norm(jet) < 1e-4 * max(self._search.size)).to(x.device)
-        arrived &= self._search.contains(x)
-        return x[arrived], normal(jet).to(x)[arrived]
+        """|f| / |grad f|, the distance of points to the surface to first order."""
+        return gap(self.field, x)

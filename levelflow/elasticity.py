@@ -22,13 +22,14 @@ from levelflow.jets import Jet
 class Shell:
     r"""How much a surface resists stretching and bending.
 
-    The energy of a deformation is the integral of $k_S\,L_S + k_B\,L_B$ over the deformed surface, with the densities
-    of `stretching` and `bending`. Lengths count in half the longest side of the box of the field, so that a shape
-    deforms alike in all units; stretching rules over distances beyond $\sqrt{k_B / k_S}$ of that.
+    The energy of a deformation is the integral of $k_S\,L_S + k_B\,L_B + k_T\,L_T$ over the deformed surface, with the
+    densities of `stretching`, `bending` and `thickening`. Lengths count in half the longest side of the box of the
+    field, so that a shape deforms alike in all units; stretching rules over distances beyond $\sqrt{k_B / k_S}$ of that.
 
     Attributes:
         stretch: $k_S$.
         bend: $k_B$.
+        thicken: $k_T$; without it a deformed distance is no distance, and bending is made cheap by thick shells.
 
     Raises:
         ValueError: If a coefficient is negative or not finite.
@@ -36,18 +37,19 @@ class Shell:
 
     stretch: float = 0.1
     bend: float = 1e-3
+    thicken: float = 0.1
 
     def __post_init__(self) -> None:
-        if not (0 <= self.stretch < math.inf and 0 <= self.bend < math.inf):
+        if not all(0 <= k < math.inf for k in (self.stretch, self.bend, self.thicken)):
             raise ValueError(
-                f"`Shell(stretch={self.stretch:g}, bend={self.bend:g})`: the coefficients must be numbers that are not "
-                "negative; 0 leaves one out."
+                f"`Shell(stretch={self.stretch:g}, bend={self.bend:g}, thicken={self.thicken:g})`: the coefficients "
+                "must be numbers that are not negative; 0 leaves one out."
             )
 
     @property
     def order(self) -> int:
         """The derivatives of the map that the energy needs; 0 if nothing is resisted."""
-        return 2 if self.bend else 1 if self.stretch else 0
+        return 2 if self.bend else 1 if self.stretch or self.thicken else 0
 
     def density(self, deformation: Jet, gradient: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
         """The energy for each unit of area of the surface at rest.
@@ -61,6 +63,8 @@ class Shell:
             total = total + self.stretch * stretching(deformation, gradient)
         if self.bend:
             total = total + self.bend * bending(deformation, gradient)
+        if self.thicken:
+            total = total + self.thicken * thickening(deformation, gradient)
         return total / area_element(deformation, gradient) if self.order else total
 
 
@@ -83,7 +87,7 @@ def stretching(deformation: Jet, gradient: Float[Tensor, "n d"]) -> Float[Tensor
 
 
 def bending(deformation: Jet, gradient: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-    r"""$L_B = |P^\top (\nabla^2 G - J^\top \nabla^2 f\, J)\, P|_F^2$: how much curvatures change, for each unit of area.
+    r"""$L_B = |P^\top (\nabla^2 G - J^\top \nabla^2 f\, J)\, P|_F^2$: how much curvatures change, by unit of area.
 
     This is for $|\nabla f| = 1$ on the surface; other fields count as if they were divided by it. By the chain rule the
     difference is $\sum_k \partial_k f\, \nabla^2 D_k$. Affine maps cost nothing, and a plate that is rolled up to a
@@ -98,6 +102,19 @@ def bending(deformation: Jet, gradient: Float[Tensor, "n d"]) -> Float[Tensor, "
     """
     change = (deformation.hessian @ _unit(gradient)[:, None, :, None])[..., 0]
     return _tangential_square(change, _deformed_normal(deformation, gradient))
+
+
+def thickening(deformation: Jet, gradient: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+    r"""$L_T = (|\nabla G| - 1)^2$: how much the shell becomes thicker or thinner, for each unit of area.
+
+    This is for $|\nabla f| = 1$ as well; then the deformed field is a distance near its surface where nothing is
+    charged. The published energies leave it free.
+
+    Args:
+        deformation: The jet of D at points of the deformed surface.
+        gradient: The gradient of f at the points that D takes them to; of any length but zero.
+    """
+    return (_length((deformation.gradient @ _unit(gradient)[:, :, None])[..., 0]) - 1) ** 2
 
 
 def area_element(deformation: Jet, gradient: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:

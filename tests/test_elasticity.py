@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from levelflow.curvature import normal
-from levelflow.elasticity import Shell, area_element, bending, stretching
+from levelflow.elasticity import Shell, area_element, bending, stretching, thickening
 from levelflow.fields import Deformed, Map
 from levelflow.jets import Jet, identity
 from levelflow.networks.invertible import InvertibleResNet
@@ -44,6 +44,7 @@ def test_a_rigid_motion_costs_nothing(space: int, generator: torch.Generator) ->
     jet = jet_of(lambda x: x @ q.T + shift, x)
     assert stretching(jet, gradient).max() < 1e-28
     assert bending(jet, gradient).max() < 1e-28
+    assert thickening(jet, gradient).max() < 1e-28
     assert (area_element(jet, gradient) - 1).abs().max() < 1e-14
 
 
@@ -64,8 +65,9 @@ def test_a_uniform_scale_stretches_by_the_known_energy(space: int, scale: float,
     assert (area_element(jet, gradient) - scale ** (1 - space)).abs().max() < 1e-12
     # Of a ball of radius 1 that has become one of radius `scale`, the energy in all.
     sphere = 2 * math.pi if space == 2 else 4 * math.pi
-    total = Shell(2.0, 3.0).density(jet, gradient) * sphere
+    total = Shell(2.0, 3.0, 0.0).density(jet, gradient) * sphere
     assert (total - 2 * exact * sphere * scale ** (space - 1)).abs().max() < 1e-10
+    assert (thickening(jet, gradient) - (1 / scale - 1) ** 2).abs().max() < 1e-12
 
 
 @pytest.mark.parametrize("space", [2, 3])
@@ -85,6 +87,7 @@ def test_a_plate_rolled_up_to_a_cylinder_bends_by_the_known_energy_and_does_not_
     jet = jet_of(unrolled, x)
     assert stretching(jet, gradient).max() < 1e-24
     assert (bending(jet, gradient) - r**-2).abs().max() < 1e-10
+    assert thickening(jet, gradient).max() < 1e-24
     assert (area_element(jet, gradient) - 1).abs().max() < 1e-12
     assert (Shell(1.0, 0.5).density(jet, gradient) - 0.5 * r**-2).abs().max() < 1e-10
 
@@ -110,6 +113,8 @@ def test_bending_is_the_change_of_the_hessian_of_the_deformed_field(space: int, 
     assert torch.allclose(bending(jet, at_rest.gradient), written, rtol=1e-9)
     written = norm(torch.eye(space, dtype=torch.float64) - jacobian.mT @ jacobian)
     assert torch.allclose(stretching(jet, at_rest.gradient), written, rtol=1e-9)
+    written = (deformed.gradient.norm(dim=1) / at_rest.gradient.norm(dim=1) - 1) ** 2
+    assert torch.allclose(thickening(jet, at_rest.gradient), written, rtol=1e-9)
     written = torch.linalg.det(jacobian @ tangent + n[:, :, None] * m[:, None]).abs()
     assert torch.allclose(area_element(jet, at_rest.gradient), written, rtol=1e-9)
 
@@ -118,12 +123,12 @@ def test_bending_is_the_change_of_the_hessian_of_the_deformed_field(space: int, 
 def test_energies_do_not_depend_on_the_length_of_the_gradient(space: int, generator: torch.Generator) -> None:
     x, gradient = drawn(space, generator), drawn(space, generator)
     jet = invertible(space).push(identity(x, x[:, :0], order=2))
-    for energy in (stretching, bending, area_element):
+    for energy in (stretching, bending, thickening, area_element):
         assert torch.allclose(energy(jet, gradient), energy(jet, 7 * gradient), rtol=1e-9)
 
 
 def test_a_density_that_resists_nothing_needs_no_derivatives() -> None:
-    shells = {0: Shell(0.0, 0.0), 1: Shell(1.0, 0.0), 2: Shell(0.0, 1.0)}
+    shells = {0: Shell(0.0, 0.0, 0.0), 1: Shell(1.0, 0.0), 2: Shell(0.0, 1.0)}
     assert {order: shell.order for order, shell in shells.items()} == {0: 0, 1: 1, 2: 2}
     x = torch.ones(3, 2)
     assert shells[0].density(identity(x, x[:, :0], order=0), x).tolist() == [0.0] * 3
@@ -131,7 +136,7 @@ def test_a_density_that_resists_nothing_needs_no_derivatives() -> None:
     assert torch.isfinite(shells[1].density(network.push(identity(x, x[:, :0], order=1)), x)).all()
 
 
-@pytest.mark.parametrize("wrong", [{"stretch": -1.0}, {"bend": math.inf}, {"stretch": math.nan}])
+@pytest.mark.parametrize("wrong", [{"stretch": -1.0}, {"bend": math.inf}, {"stretch": math.nan}, {"thicken": -0.1}])
 def test_coefficients_are_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=r"`Shell\(.*must be numbers that are not negative"):
         Shell(**wrong)

@@ -20,6 +20,7 @@ from levelflow.elasticity import area_element as area_of
 from levelflow.extraction import extract
 from levelflow.fields import Continued, Deformed, Placed
 from levelflow.flows import Edit
+from levelflow.flows.densifying import arap
 from levelflow.handles import Handle, HandleWarning
 from levelflow.jets import identity
 from levelflow.minimising import Batch, Budget, Divergence, Progress, Term, minimise
@@ -29,9 +30,9 @@ from levelflow.shapes.mesh import Mesh
 BUDGET = Budget(steps=600)
 """What `deform` takes if nothing is said."""
 
-RATE, STAGES, SLACK, MISSED = 1e-2, 8, 1e-4, 5e-3
-"""The rate of learning, steps of the first guess, how far off a handle may be for free, and when it is told that the
-handles are missed: the last two in half sides of the box."""
+RATE, STAGES, RIGID, SLACK, MISSED = 1e-2, 8, 30, 1e-4, 5e-3
+"""The rate of learning, steps of the first guess and iterations of each, how far off a handle may be for free, and when
+it is told that the handles are missed: the last two in half sides of the box."""
 
 
 def deform(
@@ -54,12 +55,12 @@ def deform(
     rest. D is trained from the identity towards the least of
 
     $$w\, \langle (|D(\Phi(y)) - y| - 10^{-4})_+^2 \rangle_{y \in H}
-      + \langle (k_S L_S + k_B L_B)(D^{-1}(y))\, a(y) \rangle_{y \in M},$$
+      + \langle (k_S L_S + k_B L_B + k_T L_T)(D^{-1}(y))\, a(y) \rangle_{y \in M},$$
 
-    where w grows from 100 to 1000, $\Phi$ is the motion of the handles, H what they hold of the surface M, and a the area of the deformed surface
-    for each of M (`levelflow.elasticity`). The points $D^{-1}(y)$ are followed by a Newton step whenever they are used,
-    and move with the weights of D in the gradient too. In the first third of the training D is led to a first guess,
-    the motions of the handles blended over the extracted surface; that part needs no derivatives and is cheap.
+    where w grows from 100 to 1000, $\Phi$ is the motion of the handles, H what they hold of the surface M, and a the
+    area of the deformed surface for each of M (`levelflow.elasticity`). The points $D^{-1}(y)$ are followed by a Newton
+    step whenever they are used, and move with the weights of D in the gradient too. In the first third of the training
+    D is led to a first guess made of the extracted mesh; that part needs no derivatives and is cheap.
 
     As D is one to one, so is what it does to the surface: nothing is torn, joined or folded through itself. The result
     can be deformed again.
@@ -127,16 +128,22 @@ def deform(
     if missed.mean() > MISSED:
         warnings.warn(
             f"deform: the handles are missed by {scale * float(missed.mean()):.3g} on average. Train for longer, or "
-            f"give more than {len(network.blocks)} blocks, network=InvertibleResNet({field.space}, {network.times}, "
-            f"blocks={2 * len(network.blocks)}): each block can turn and stretch by so much only.",
+            f"give more than {len(network.blocks)} blocks, network=invertible({field.space}, {network.times}, "
+            f"blocks={2 * len(network.blocks)}) or --blocks {2 * len(network.blocks)}: each block can turn and stretch by "
+            "so much only.",
             HandleWarning,
             stacklevel=2,
         )
     return deformed
 
 
+def invertible(space: int, time: int = 0, *, blocks: int = 6) -> InvertibleResNet:
+    """The network that `deform` begins with: many shallow blocks are better than few deep ones."""
+    return InvertibleResNet(space, time, blocks=blocks, width=64, depth=1, frequencies=3)
+
+
 class Guess:
-    """The motions of the handles blended over the surface, towards which D is led at first."""
+    """What the mesh would do on its own, towards which D is led at first."""
 
     name, weight, until = "guess", 10.0, 1 / 3
 
@@ -159,17 +166,13 @@ class Held:
     Its weight becomes ten times as large towards the end: the surface first finds its form, and then the handles.
     """
 
-    name, spent = "handles", 0.0
+    name, weight, spent = "handles", 100.0, 0.0
 
     def __init__(self, network: InvertibleResNet, motion: _Motion, *, n: int) -> None:
         self.network, self.motion, self.n = network, motion, n
 
-    @property
-    def weight(self) -> float:
-        return 100 * 10**self.spent
-
     def sample(self, generator: torch.Generator) -> Batch:
-        m = self.motion
+        m, self.weight = self.motion, 100 * 10**self.spent
         i = torch.multinomial(m.shares, self.n, replacement=True, generator=generator)
         k = torch.randint(len(m.times), (self.n,), generator=generator)
         return m.targets[k, i], m.rest[m.held[i]], m.times[k]
@@ -280,20 +283,23 @@ class _Motion:
         surface = extract(field, resolution=resolution, refine=2)
         edit = Edit(surface, handles, call="deform")
         stages = 2 * STAGES if path else STAGES
-        poses, mesh = [surface.vertices], surface
-        for stage in range(stages):
-            mesh = Mesh(mesh.vertices + edit.displacement(mesh, 1 / stages, time=stage / stages), surface.faces)
-            poses.append(mesh.vertices)
-        parts = [stage / stages for stage in range(stages + 1)] if path else [1.0]
-        poses = poses[-len(parts) :]
         groups = [*edit.vertices]
-        targets = [
-            [handle.target(surface.vertices[i], part) for handle, i in zip(handles, groups, strict=True)]
-            for part in parts
-        ]
         if edit.untouched.any():
             groups.append(np.flatnonzero(edit.untouched))
-            targets = [[*target, surface.vertices[edit.untouched]] for target in targets]
+        held = np.concatenate(groups)
+        parts = [stage / stages for stage in range(stages + 1)]
+        targets = [
+            np.concatenate(
+                [
+                    *(handle.target(surface.vertices[i], part) for handle, i in zip(handles, groups, strict=False)),
+                    surface.vertices[edit.untouched],
+                ]
+            )
+            for part in parts
+        ]
+        poses = _poses(edit, held, targets)
+        if not path:
+            parts, targets, poses = [1.0], targets[-1:], poses[-1:]
         shares = np.concatenate([np.full(len(group), 1 / max(1, len(group))) for group in groups])
         around = Box.around(np.concatenate(poses)).expanded(MARGIN * max(surface.box.size))
         box = field.box.union(around).during(*[(0.0, 1.0)] * path)
@@ -308,8 +314,8 @@ class _Motion:
             (torch.from_numpy(surface.faces), torch.from_numpy(surface.face_areas)),
             unit(surface.vertices),
             torch.stack([unit(pose) for pose in poses]),
-            torch.from_numpy(np.concatenate(groups)).to(like.device),
-            torch.stack([unit(np.concatenate(target)) for target in targets]),
+            torch.from_numpy(held).to(like.device),
+            torch.stack([unit(target) for target in targets]),
             torch.from_numpy(shares),
             max(abs(handle.angle) for handle in handles),
         )
@@ -332,16 +338,32 @@ class _Motion:
         return moved, rest, self.times[k], (counts / counts.mean()).to(rest)
 
 
+def _poses(edit: Edit, held: np.ndarray, targets: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Where a first guess has all vertices, at rest and at each of the parts after it.
+
+    A surface is as rigid as possible at each part, starting from the one before. The two sides of a closed curve would
+    pass through each other that way; the motions of its handles are blended.
+    """
+    surface, poses = edit.surface, [edit.surface.vertices]
+    stages = len(targets) - 1
+    for stage, target in enumerate(targets[1:]):
+        if surface.vertices.shape[1] == 3:
+            poses.append(arap(surface, held, target, iterations=RIGID, start=poses[-1]))
+        else:
+            mesh = Mesh(poses[-1], surface.faces)
+            poses.append(poses[-1] + edit.displacement(mesh, 1 / stages, time=stage / stages))
+    return poses
+
+
 def _network(given: InvertibleResNet | None, motion: _Motion) -> InvertibleResNet:
     """The given network, or one whose blocks can turn as far as the handles do."""
     space, times = motion.rest.shape[1], motion.times.shape[1]
     if given is None:
-        blocks = max(6, math.ceil(motion.angle / 15))
-        return InvertibleResNet(space, times, blocks=blocks, width=64, depth=1, frequencies=3)
+        return invertible(space, times, blocks=max(6, math.ceil(motion.angle / 15)))
     if (given.space, given.times) != (space, times):
         raise ValueError(
             f"deform: the network has {given.space} space and {given.times} time coordinates; wanted is "
-            f"InvertibleResNet({space}, {times})."
+            f"invertible({space}, {times})."
         )
     return copy.deepcopy(given)
 

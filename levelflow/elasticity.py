@@ -24,7 +24,7 @@ class Shell:
 
     The energy of a deformation is the integral of $k_S\,L_S + k_B\,L_B + k_T\,L_T$ over the deformed surface, with the
     densities of `stretching`, `bending` and `thickening`. Lengths count in half the longest side of the box of the
-    field, so that a shape deforms alike in all units; stretching rules over distances beyond $\sqrt{k_B / k_S}$ of that.
+    field, so that a shape deforms alike in all units; over distances beyond $\sqrt{k_B / k_S}$ of that stretching rules.
 
     Attributes:
         stretch: $k_S$.

@@ -136,8 +136,8 @@ def _composition(made: Map) -> dict[str, Any]:
     kind: dict[str, Any] = {"type": type(made).__name__}
     refusal = TypeError(
         f"save: cannot write a {type(made).__name__}, since files hold no code; {', '.join(_NETWORKS)}, and what "
-        "Periodic, Inverse, Deformed, Continued, Keyframed, Slice and Placed make of them, can be saved. Distil the field "
-        "into a network with fit."
+        "Periodic, Inverse, Deformed, Continued, Keyframed, Slice and Placed make of them, can be saved. Distil the "
+        "field into a network with fit."
     )
     if not type(made).__module__.startswith("levelflow."):
         raise refusal  # a subclass from elsewhere, of whose code the file would know nothing

@@ -36,7 +36,7 @@ STEPS = {
     "cli": (
         ("names", "options"),
         ("lifting", "masking", "retiming", "running", "showing", "taking", "viewing"),
-        ("families", "following"),
+        ("deforming", "families", "following"),
         ("commands",),
     ),
     "equations": (

@@ -65,8 +65,8 @@ class Edit(Flow):
         if still.any():
             first = tuple(self.surface.vertices[still.argmax()].tolist())
             warnings.warn(
-                f"{self.call}: no handle holds any of the bodies that {int(still.sum())} of {len(still)} vertices belong "
-                f"to, such as the one at {first}: these bodies stay where they are. To move them, give them a handle.",
+                f"{self.call}: no handle holds any of the bodies that {int(still.sum())} of {len(still)} vertices "
+                f"belong to, such as the one at {first}: these bodies stay where they are. To move them, give them a handle.",
                 HandleWarning,
                 stacklevel=3,
             )
@@ -96,8 +96,8 @@ class Edit(Flow):
             if held[number - 1].any():
                 continue
             warnings.warn(
-                f"{self.call}: at time {start:g} handle {number} ({handle.name!r}) holds no vertex any more: the surface "
-                "is not where the handle took it. Take smaller steps, or more training for each.",
+                f"{self.call}: at time {start:g} handle {number} ({handle.name!r}) holds no vertex any more: the "
+                "surface is not where the handle took it. Take smaller steps, or more training for each.",
                 HandleWarning,
                 stacklevel=3,
             )
@@ -108,8 +108,8 @@ class Edit(Flow):
         held &= first == np.arange(len(held))[:, None]
         if not held.any():
             raise ValueError(
-                f"{self.call}: at time {start:g} no handle holds any of the {len(x)} vertices of the mesh; the surface is "
-                "not where the handles took it. Take smaller steps, or more training for each."
+                f"{self.call}: at time {start:g} no handle holds any of the {len(x)} vertices of the mesh; the surface "
+                "is not where the handles took it. Take smaller steps, or more training for each."
             )
         return [
             Pull(np.flatnonzero(mine), partial(_carried, handle, start, end))

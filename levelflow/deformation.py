@@ -106,8 +106,8 @@ def deform(
         what = "is periodic" if field.periodic else f"depends on {field.times} time(s); give a slice, field.at(t)"
         raise ValueError(f"deform: the field {what}. A deformation is of one surface in one box.")
     motion = _Motion.of(field, handles, path=path, resolution=resolution)
-    network = _network(network, motion)
-    deformed = _deformed(field, network.to(field.device), motion.box)
+    network = _network(network, motion).to(motion.rest)
+    deformed = _deformed(field, network, motion.box)
     generator = torch.Generator().manual_seed(seed)
     held = Held(network, motion, n=max(1, n // 2))
     elastic = Elastic(network, motion, field, shell, n=n, generator=generator)
@@ -129,8 +129,8 @@ def deform(
         warnings.warn(
             f"deform: the handles are missed by {scale * float(missed.mean()):.3g} on average. Train for longer, or "
             f"give more than {len(network.blocks)} blocks, network=invertible({field.space}, {network.times}, "
-            f"blocks={2 * len(network.blocks)}) or --blocks {2 * len(network.blocks)}: each block can turn and stretch by "
-            "so much only.",
+            f"blocks={2 * len(network.blocks)}) or --blocks {2 * len(network.blocks)}: each block can turn and "
+            "stretch by so much only.",
             HandleWarning,
             stacklevel=2,
         )
@@ -217,29 +217,33 @@ class Elastic:
         x, y, t, self.shares = motion.drawn(self.pool, generator)
         self.y, self.t, self.memory = y, t, {"x": x}
         at_rest = motion.box.frame.from_unit(y.double())
-        self.gradient = field.jet(at_rest, order=1).gradient.detach().to(y)
+        gradient = field.jet(at_rest, order=1).gradient.detach().to(y)
+        self.normal = gradient / _length(gradient)[:, None]
 
     def sample(self, generator: torch.Generator) -> Batch:
         i = torch.randint(len(self.y), (self.n,), generator=generator).to(self.y.device)
         x, back = self._followed(self.memory["x"][i], self.y[i], self.t[i])
         self.memory["x"][i] = x
-        return x, self.t[i], self.gradient[i], self.shares[i], back
+        return x, self.t[i], self.normal[i], self.shares[i], back
 
     def loss(self, *batch: Tensor) -> Tensor:
-        x, t, gradient, shares, back = batch
+        x, t, normal, shares, back = batch
         # x = D^-1(y) moves with the weights by -J^-1 dD.
         there = self.network(x, t)
         x = x - ((there - there.detach())[:, None] @ back)[:, 0]
-        return shares * self.shell.density(self.network.push(identity(x, t, order=self.shell.order)), gradient)
+        if self.shell.order < 2:
+            return shares * self.shell.density(self.network.push(identity(x, t, order=1)), normal)
+        jet, bent = self.network.along(x, t, normal)
+        return shares * self.shell.density(jet, normal, bent)
 
     @torch.no_grad()
     def energies(self) -> dict[str, float]:
         """The mean densities of stretching and bending, for each unit of area at rest."""
         x = self.network.inverse(self.y, self.t)
         jet = self.network.push(identity(x, self.t, order=2))
-        area = area_of(jet, self.gradient)
+        area = area_of(jet, self.normal)
         return {
-            energy.__name__: float((self.shares * energy(jet, self.gradient) / area).mean())
+            energy.__name__: float((self.shares * energy(jet, self.normal) / area).mean())
             for energy in (stretching, bending)
         }
 
@@ -262,9 +266,9 @@ class _Motion:
         faces: The faces of the extracted surface, and their areas.
         rest: Its vertices at rest, (n, d).
         moved: Where the first guess has them at each part, (p, n, d).
-        held: Which of them are held, by handles or for want of any, (k,).
-        targets: Where these are to be at each part, (p, k, d).
-        shares: How often each of these is drawn, (k,).
+        held: Which of them are held, by handles or for want of any, (h,).
+        targets: Where these are to be at each part, (p, h, d).
+        shares: How often each of these is drawn, (h,).
         angle: The greatest turn of a handle, in degrees.
     """
 
@@ -274,8 +278,8 @@ class _Motion:
     rest: Float[Tensor, "n d"]
     moved: Float[Tensor, "p n d"]
     held: Tensor
-    targets: Float[Tensor, "p k d"]
-    shares: Float[Tensor, " k"]
+    targets: Float[Tensor, "p h d"]
+    shares: Float[Tensor, " h"]
     angle: float
 
     @classmethod
@@ -306,12 +310,12 @@ class _Motion:
         like = next(field.parameters())
 
         def unit(x: np.ndarray) -> Tensor:
-            return box.frame.to_unit(torch.from_numpy(x)).to(like)
+            return box.frame.to_unit(torch.tensor(x)).to(like)
 
         return cls(
             box,
             2 * torch.tensor([parts if path else []], dtype=torch.float64).mT.reshape(len(parts), -1).to(like) - 1,
-            (torch.from_numpy(surface.faces), torch.from_numpy(surface.face_areas)),
+            (torch.tensor(surface.faces), torch.tensor(surface.face_areas)),
             unit(surface.vertices),
             torch.stack([unit(pose) for pose in poses]),
             torch.from_numpy(held).to(like.device),

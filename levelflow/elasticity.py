@@ -24,7 +24,7 @@ class Shell:
 
     The energy of a deformation is the integral of $k_S\,L_S + k_B\,L_B + k_T\,L_T$ over the deformed surface, with the
     densities of `stretching`, `bending` and `thickening`. Lengths count in half the longest side of the box of the
-    field, so that a shape deforms alike in all units; over distances beyond $\sqrt{k_B / k_S}$ of that stretching rules.
+    field, so that a shape deforms alike in all units; beyond a distance of $\sqrt{k_B / k_S}$ stretching rules.
 
     Attributes:
         stretch: $k_S$.
@@ -51,18 +51,21 @@ class Shell:
         """The derivatives of the map that the energy needs; 0 if nothing is resisted."""
         return 2 if self.bend else 1 if self.stretch or self.thicken else 0
 
-    def density(self, deformation: Jet, gradient: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-        """The energy for each unit of area of the surface at rest.
+    def density(
+        self, deformation: Jet, gradient: Float[Tensor, "n d"], bent: Float[Tensor, "n d d"] | None = None
+    ) -> Float[Tensor, " n"]:
+        r"""The energy for each unit of area of the surface at rest.
 
         Args:
             deformation: The jet of D at points of the deformed surface, of the order of the shell or above.
             gradient: The gradient of f at the points that D takes them to.
+            bent: $\sum_k n_k \nabla^2 D_k$ with the unit normal n at rest, if it is known; order 1 is enough then.
         """
         total = gradient.new_zeros(len(gradient))
         if self.stretch:
             total = total + self.stretch * stretching(deformation, gradient)
         if self.bend:
-            total = total + self.bend * bending(deformation, gradient)
+            total = total + self.bend * bending(deformation, gradient, bent)
         if self.thicken:
             total = total + self.thicken * thickening(deformation, gradient)
         return total / area_element(deformation, gradient) if self.order else total
@@ -86,7 +89,9 @@ def stretching(deformation: Jet, gradient: Float[Tensor, "n d"]) -> Float[Tensor
     return _tangential_square(change, _deformed_normal(deformation, gradient))
 
 
-def bending(deformation: Jet, gradient: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+def bending(
+    deformation: Jet, gradient: Float[Tensor, "n d"], bent: Float[Tensor, "n d d"] | None = None
+) -> Float[Tensor, " n"]:
     r"""$L_B = |P^\top (\nabla^2 G - J^\top \nabla^2 f\, J)\, P|_F^2$: how much curvatures change, by unit of area.
 
     This is for $|\nabla f| = 1$ on the surface; other fields count as if they were divided by it. By the chain rule the
@@ -96,12 +101,14 @@ def bending(deformation: Jet, gradient: Float[Tensor, "n d"]) -> Float[Tensor, "
     Args:
         deformation: The jet of D at points of the deformed surface, of order 2.
         gradient: The gradient of f at the points that D takes them to; of any length but zero.
+        bent: $\sum_k n_k \nabla^2 D_k$ with the unit normal n at rest, if it is known; order 1 is enough then.
 
     Reference:
         Yang et al., Geometry Processing with Neural Fields, NeurIPS 2021, eq. 7.
     """
-    change = (deformation.hessian @ _unit(gradient)[:, None, :, None])[..., 0]
-    return _tangential_square(change, _deformed_normal(deformation, gradient))
+    if bent is None:
+        bent = (deformation.hessian @ _unit(gradient)[:, None, :, None])[..., 0]
+    return _tangential_square(bent, _deformed_normal(deformation, gradient))
 
 
 def thickening(deformation: Jet, gradient: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:

@@ -66,7 +66,8 @@ class Edit(Flow):
             first = tuple(self.surface.vertices[still.argmax()].tolist())
             warnings.warn(
                 f"{self.call}: no handle holds any of the bodies that {int(still.sum())} of {len(still)} vertices "
-                f"belong to, such as the one at {first}: these bodies stay where they are. To move them, give them a handle.",
+                f"belong to, such as the one at {first}: these bodies stay where they are. To move them, give "
+                "them a handle.",
                 HandleWarning,
                 stacklevel=3,
             )

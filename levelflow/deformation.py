@@ -18,7 +18,7 @@ from levelflow.conditions import MARGIN
 from levelflow.elasticity import Shell, bending, stretching
 from levelflow.elasticity import area_element as area_of
 from levelflow.extraction import extract
-from levelflow.fields import Continued, Deformed, Placed
+from levelflow.fields import Continued, Deformed, Map, Placed
 from levelflow.flows import Edit
 from levelflow.flows.densifying import arap
 from levelflow.handles import Handle, HandleWarning
@@ -105,9 +105,9 @@ def deform(
     if field.times or field.periodic:
         what = "is periodic" if field.periodic else f"depends on {field.times} time(s); give a slice, field.at(t)"
         raise ValueError(f"deform: the field {what}. A deformation is of one surface in one box.")
-    motion = _Motion.of(field, handles, path=path, resolution=resolution)
+    motion = Motion.of(field, handles, path=path, resolution=resolution)
     network = _network(network, motion).to(motion.rest)
-    deformed = _deformed(field, network, motion.box)
+    deformed = after(field, network, motion.box)
     generator = torch.Generator().manual_seed(seed)
     held = Held(network, motion, n=max(1, n // 2))
     elastic = Elastic(network, motion, field, shell, n=n, generator=generator)
@@ -147,7 +147,7 @@ class Guess:
 
     name, weight, until = "guess", 10.0, 1 / 3
 
-    def __init__(self, network: InvertibleResNet, motion: _Motion, *, n: int) -> None:
+    def __init__(self, network: Map, motion: Motion, *, n: int) -> None:
         self.network, self.motion, self.n = network, motion, n
 
     def sample(self, generator: torch.Generator) -> Batch:
@@ -168,7 +168,7 @@ class Held:
 
     name, weight, spent = "handles", 100.0, 0.0
 
-    def __init__(self, network: InvertibleResNet, motion: _Motion, *, n: int) -> None:
+    def __init__(self, network: Map, motion: Motion, *, n: int) -> None:
         self.network, self.motion, self.n = network, motion, n
 
     def sample(self, generator: torch.Generator) -> Batch:
@@ -206,7 +206,7 @@ class Elastic:
     def __init__(
         self,
         network: InvertibleResNet,
-        motion: _Motion,
+        motion: Motion,
         field: Placed,
         shell: Shell,
         *,
@@ -261,7 +261,7 @@ class Elastic:
 
 
 @dataclass(frozen=True)
-class _Motion:
+class Motion:
     """What is asked, in normalised coordinates of a box with room for it, at some parts of the motion; the last is 1.
 
     Attributes:
@@ -287,7 +287,7 @@ class _Motion:
     angle: float
 
     @classmethod
-    def of(cls, field: Placed, handles: Sequence[Handle], *, path: bool, resolution: int) -> _Motion:
+    def of(cls, field: Placed, handles: Sequence[Handle], *, path: bool, resolution: int) -> Motion:
         surface = extract(field, resolution=resolution, refine=2)
         edit = Edit(surface, handles, call="deform")
         stages = 2 * STAGES if path else STAGES
@@ -363,7 +363,7 @@ def _poses(edit: Edit, held: np.ndarray, targets: Sequence[np.ndarray]) -> list[
     return poses
 
 
-def _network(given: InvertibleResNet | None, motion: _Motion) -> InvertibleResNet:
+def _network(given: InvertibleResNet | None, motion: Motion) -> InvertibleResNet:
     """The given network, or one whose blocks can turn as far as the handles do."""
     space, times = motion.rest.shape[1], motion.times.shape[1]
     if given is None:
@@ -376,14 +376,14 @@ def _network(given: InvertibleResNet | None, motion: _Motion) -> InvertibleResNe
     return copy.deepcopy(given)
 
 
-def _deformed(field: Placed, network: InvertibleResNet, box: Box) -> Placed:
-    """The field after the network, which works in normalised coordinates of the box."""
+def after(field: Placed, deformation: Map, box: Box) -> Placed:
+    """The field after a map of normalised coordinates of a box, in that box."""
     scale = box.frame.scale
     lower, upper = (
         tuple((a - c) / scale for a, c in zip(corner, box.center, strict=True))
         for corner in (field.box.lower, field.box.upper)
     )
-    return Placed(Deformed(Continued(Placed(field.field, Box(lower, upper))), network), box)
+    return Placed(Deformed(Continued(Placed(field.field, Box(lower, upper))), deformation), box)
 
 
 def _length(vectors: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:

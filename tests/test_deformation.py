@@ -14,7 +14,7 @@ from torch import Tensor
 
 from levelflow.boxes import Box
 from levelflow.conditions import Sampling
-from levelflow.deformation import Elastic, _Motion, deform, invertible
+from levelflow.deformation import Elastic, Motion, deform, invertible
 from levelflow.elasticity import Shell
 from levelflow.extraction import extract
 from levelflow.fields import Continued, Deformed, Placed
@@ -182,7 +182,7 @@ def test_an_interrupted_deformation_goes_on_with_the_same_bits() -> None:
 
 def test_points_of_the_surface_are_followed_while_the_network_learns() -> None:
     network = invertible(2).double()
-    motion = _Motion.of(bar(), [Handle.fix(LEFT), Handle.move(RIGHT, by=(0, 2))], path=False, resolution=32)
+    motion = Motion.of(bar(), [Handle.fix(LEFT), Handle.move(RIGHT, by=(0, 2))], path=False, resolution=32)
     generator = torch.Generator().manual_seed(0)
     elastic = Elastic(network, motion, bar(), Shell(), n=64, generator=generator)
     with torch.no_grad():
@@ -200,7 +200,7 @@ def test_the_gradient_of_the_energy_is_that_of_the_inverse() -> None:
     """Against the derivative along a direction of the weights of the energy at D^-1(y), the points found anew."""
     network = invertible(2).double()
     generator = torch.Generator().manual_seed(0)
-    motion = _Motion.of(bar(), [Handle.fix(LEFT), Handle.move(RIGHT, by=(0, 2))], path=False, resolution=32)
+    motion = Motion.of(bar(), [Handle.fix(LEFT), Handle.move(RIGHT, by=(0, 2))], path=False, resolution=32)
     elastic = Elastic(network, motion, bar(), Shell(1.0, 0.01), n=64, generator=generator)
     parameters = list(network.parameters())
     direction = [torch.randn(p.shape, generator=generator, dtype=p.dtype) for p in parameters]

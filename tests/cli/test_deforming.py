@@ -57,8 +57,9 @@ def test_a_disc_is_deformed_again_and_on_its_way(run, here, disc):
 def test_a_shape_is_fitted_first_and_an_interrupted_run_goes_on(run, here, monkeypatch):
     from levelflow.minimising import Progress
 
-    asked = handles(here, {**HELD, "region": {"box": {"lower": [-1, -1, -1], "upper": [1, 1, -0.2]}}},
-                    {**RIGHT, "region": {"box": {"lower": [-1, -1, 0.2], "upper": [1, 1, 1]}}, "move": [0, 0, 0.1]})  # fmt: skip
+    held = {**HELD, "region": {"box": {"lower": [-1, -1, -1], "upper": [1, 1, -0.2]}}}
+    top = {**RIGHT, "region": {"box": {"lower": [-1, -1, 0.2], "upper": [1, 1, 1]}}, "move": [0, 0, 0.1]}
+    asked = handles(here, held, top)
     command = ("deform", "sphere", "--handles", asked, *OPTIONS, "--fit-steps", 60, "--width", 16, "--depth", 2)
     state, left = Progress.state, [5]
 

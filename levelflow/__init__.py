@@ -21,6 +21,7 @@ _HOMES = {
     "Circle": "shapes",
     "Cuboid": "shapes",
     "Cylinder": "shapes",
+    "Continued": "fields",
     "Deformed": "fields",
     "Divergence": "minimising",
     "Dumbbell": "shapes",
@@ -45,6 +46,7 @@ _HOMES = {
     "Retimed": "retimed",
     "Rotated": "shapes",
     "SIREN": "networks.siren",
+    "Shell": "elasticity",
     "Sampling": "conditions",
     "SmoothUnion": "shapes",
     "Sphere": "shapes",
@@ -52,6 +54,7 @@ _HOMES = {
     "Translated": "shapes",
     "Transported": "transported",
     "contact_sheet": "rendering",
+    "deform": "deformation",
     "evolve": "evolution",
     "extract": "extraction",
     "film": "rendering",
@@ -73,9 +76,11 @@ if TYPE_CHECKING:
     from levelflow import curvature, equations, export, fields, flows, handles, jets, measures, rendering, shapes
     from levelflow.boxes import Box, Frame
     from levelflow.conditions import Sampling
+    from levelflow.deformation import deform
+    from levelflow.elasticity import Shell
     from levelflow.evolution import evolve
     from levelflow.extraction import EmptyLevelSet, extract
-    from levelflow.fields import Deformed, Field, Map, Placed
+    from levelflow.fields import Continued, Deformed, Field, Map, Placed
     from levelflow.filtering import scale_curvature
     from levelflow.fitting import fit
     from levelflow.jets import Jet

@@ -247,6 +247,58 @@ class Deformed(Field):
         return self.field.push(self.deformation.push(jet))
 
 
+class Continued(Field):
+    """A field beyond its box: there the value at the nearest point of the box, plus the distance to it.
+
+    Networks know nothing of what lies outside of the box that they were trained in. Derivatives jump at its sides.
+
+    Args:
+        field: A static field with a box.
+
+    Raises:
+        ValueError: If the field depends on time, or no box is known.
+    """
+
+    def __init__(self, field: Field) -> None:
+        super().__init__()
+        if field.times or field.box is None:
+            what = f"{field.times} time(s)" if field.times else "no box"
+            raise ValueError(f"Continued: the field has {what}; give a static field in a box, Placed(field, box).")
+        self.field, self.box = field, field.box
+        self.space, self.times = field.space, 0
+
+    def push(self, jet: Jet) -> Jet:
+        assert self.box is not None
+        x = jet.value
+        nearest = x.clamp(x.new_tensor(self.box.lower), x.new_tensor(self.box.upper))
+        within = (x == nearest).to(x)
+        inner = self.field.push(_masked(jet, nearest, within))
+        beyond = _masked(jet, x - nearest, 1 - within)
+        square = (beyond.value * beyond.value).sum(1)
+        out = square > 0
+        gap = square.where(out, 1.0).sqrt()
+        unit = beyond.value / gap[:, None]
+        first, second = None, None
+        if beyond.first is not None:
+            first = (beyond.first * unit[:, None]).sum(2)
+        if beyond.second is not None:
+            assert first is not None
+            du, along = beyond.gradient, first[:, : jet.space]
+            turned = du @ du.transpose(1, 2) - along[:, :, None] * along[:, None]
+            second = (beyond.second * unit[:, None, None]).sum(3) + turned / gap[:, None, None]
+        return inner + Jet(gap.where(out, 0.0).to(inner.value), first, second, jet.space).to(inner.value)
+
+
+def _masked(jet: Jet, value: Tensor, mask: Float[Tensor, "n d"]) -> Jet:
+    """The jet with another value and only some components of its derivatives."""
+    return Jet(
+        value,
+        None if jet.first is None else jet.first * mask[:, None],
+        None if jet.second is None else jet.second * mask[:, None, None],
+        jet.space,
+    )
+
+
 class Sum(Field):
     """The field f + g."""
 

@@ -223,7 +223,7 @@ def chain_jet(
     hessian: Tensor | None = None
     for layer in range(len(hidden) - 1, -1, -1):
         if order > 1:
-            term = _weighted_squares(adjoint * bends[layer], planes[layer])
+            term = weighted_squares(adjoint * bends[layer], planes[layer])
             hessian = term if hessian is None else hessian + term
         adjoint = (adjoint * slopes[layer]) @ hidden[layer][0]
     return Jet(value, adjoint, hessian, d)
@@ -234,8 +234,8 @@ def _require_order(order: int) -> None:
         raise ValueError(f"jet(order={order}): the order must be 0 (value), 1 (gradient) or 2 (Hessian).")
 
 
-def _weighted_squares(weights: Float[Tensor, "n m"], planes: Tensor) -> Float[Tensor, "n d d"]:
-    """sum_m weights_m P_im P_jm, for planes of each point (n, d, m) or shared by all of them (d, m)."""
+def weighted_squares(weights: Float[Tensor, "n m"], planes: Tensor) -> Float[Tensor, "n d d"]:
+    """The matrices sum_m weights_m P_im P_jm, for planes of each point (n, d, m) or shared by all of them (d, m)."""
     if planes.ndim == 2:
         d = planes.shape[0]
         return (weights @ (planes[:, None] * planes[None]).reshape(d * d, -1).T).reshape(-1, d, d)

@@ -12,6 +12,7 @@ _WORDS = {
     "surface": "surface",
     "distance": "distance",
     "blend": "first guess",
+    "guess": "first guess",
     "carried": "carried shape",
     "motion": "motion",
 }

@@ -19,7 +19,7 @@ from levelflow.equations.family import Family
 from levelflow.equations.masks import BoxMask, Mask, PaintedMask, ProductOfMasks, SphereMask
 from levelflow.equations.regional import Regional
 from levelflow.equations.transport import Constant, Rotation, Source, SumOfVelocities, Transport, Twist, Velocity
-from levelflow.fields import Deformed, Field, Map, Placed, Slice
+from levelflow.fields import Continued, Deformed, Field, Map, Placed, Slice
 from levelflow.keyframed import Keyframed
 from levelflow.minimising import Progress
 from levelflow.networks.invertible import Inverse, InvertibleResNet
@@ -136,8 +136,8 @@ def _composition(made: Map) -> dict[str, Any]:
     kind: dict[str, Any] = {"type": type(made).__name__}
     refusal = TypeError(
         f"save: cannot write a {type(made).__name__}, since files hold no code; {', '.join(_NETWORKS)}, and what "
-        "Periodic, Inverse, Deformed, Keyframed, Slice and Placed make of them, can be saved. Distil the field into "
-        "a network with fit."
+        "Periodic, Inverse, Deformed, Continued, Keyframed, Slice and Placed make of them, can be saved. Distil the "
+        "field into a network with fit."
     )
     if not type(made).__module__.startswith("levelflow."):
         raise refusal  # a subclass from elsewhere, of whose code the file would know nothing
@@ -155,6 +155,8 @@ def _composition(made: Map) -> dict[str, Any]:
             return kind | {"network": _composition(made.network), "tolerance": made.tolerance}
         case Deformed():
             return kind | {"field": _composition(made.field), "deformation": _composition(made.deformation)}
+        case Continued():
+            return kind | {"field": _composition(made.field)}
         case Slice():
             return kind | {"field": _composition(made.field), "t": made.t}
         case Placed():
@@ -186,6 +188,8 @@ def _composed(described: Mapping[str, Any]) -> Map:
             return Inverse(network, tolerance=arguments["tolerance"])
         case "Deformed":
             return Deformed(_field(arguments["field"]), _composed(arguments["deformation"]))
+        case "Continued":
+            return Continued(_field(arguments["field"]))
         case "Slice":
             return Slice(_field(arguments["field"]), arguments["t"])
         case "Keyframed":

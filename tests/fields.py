@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from levelflow.boxes import Box
-from levelflow.fields import Deformed, Field, Map, Placed, Slice, Sum, Walk
+from levelflow.fields import Continued, Deformed, Field, Map, Placed, Slice, Sum, Walk
 from levelflow.jets import Jet
 from levelflow.networks.invertible import Inverse, InvertibleResNet
 from levelflow.networks.lifting import lift
@@ -185,6 +185,10 @@ FIELDS: dict[str, Field] = {
     "at an even speed": Retimed(Explicit(round_field, 2, 1, box=placed(2, 1).box), {-1: 2.5, 1: 2}, ease=0),
     "retimed twice": Retimed(Retimed(placed(2, 1), {0: 2, 1: 5}), {0: 0, 3: 1}),
     "retimed at a time": Retimed(placed(2, 1), {0: 2, 1: 5}).at(0.3),
+    "beyond its box": Continued(Placed(siren(2), Box((-0.4, -0.2), (0.3, 0.5)))),
+    "beyond its box, deformed in time": Deformed(
+        Continued(Placed(siren(3), Box((-0.6,) * 3, (0.3, 0.5, 0.4)))), invertible(3, 1)
+    ),
     "sum": Sum(siren(2, 1), siren(2, 1, seed=1), placed(2, 1)),
     "product": Product(siren(3, 1), placed(3, 1)),
     "formula": Explicit(round_field, 2, 1),

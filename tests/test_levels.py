@@ -36,7 +36,7 @@ STEPS = {
     "cli": (
         ("names", "options"),
         ("lifting", "masking", "retiming", "running", "showing", "taking"),
-        ("families", "filtering", "following", "viewing"),
+        ("deforming", "families", "filtering", "following", "viewing"),
         ("commands",),
     ),
     "equations": (

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from levelflow._version import __version__
+from levelflow.cli.deforming import deform
 from levelflow.cli.families import family, mix
 from levelflow.cli.filtering import filter_shape
 from levelflow.cli.following import edit
@@ -427,6 +428,7 @@ def info(
 
 
 app.command()(edit)
+app.command()(deform)
 app.command("evolve")(follow)
 app.command()(export)
 app.command()(family)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from levelflow.flows.densifying import BlendedMotions, Densify, Pull, untouched
 from levelflow.flows.flow import Flow
@@ -33,6 +33,11 @@ class Edit(Flow):
         surface: The surface before the edit.
         handles: What is asked of it.
         densify: `BlendedMotions` (large rotations in steps), `AsRigidAsPossible` or `ThinShell`.
+        call: Who asks, for the errors.
+
+    Attributes:
+        vertices: The numbers of the vertices of the surface that each handle holds.
+        untouched: Whether each vertex belongs to a body without handles.
 
     Raises:
         ValueError: If the handles are none, miss the surface or contradict each other; see `handles.selected`.
@@ -48,15 +53,21 @@ class Edit(Flow):
     surface: Mesh
     handles: Sequence[Handle]
     densify: Densify = field(default_factory=BlendedMotions, kw_only=True)
+    call: str = field(default="Edit", kw_only=True, repr=False)
+    vertices: tuple[Int[np.ndarray, " k"], ...] = field(init=False, repr=False)
+    untouched: Bool[np.ndarray, " n"] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        held = np.concatenate(selected(self.handles, self.surface.vertices, call="Edit"))
-        still = untouched(self.surface, held)
+        held = selected(self.handles, self.surface.vertices, call=self.call)
+        still = untouched(self.surface, np.concatenate(held))
+        object.__setattr__(self, "vertices", held)
+        object.__setattr__(self, "untouched", still)
         if still.any():
             first = tuple(self.surface.vertices[still.argmax()].tolist())
             warnings.warn(
-                f"Edit: no handle holds any of the bodies that {int(still.sum())} of {len(still)} vertices belong to, "
-                f"such as the one at {first}: these bodies stay where they are. To move them, give them a handle.",
+                f"{self.call}: no handle holds any of the bodies that {int(still.sum())} of {len(still)} vertices "
+                f"belong to, such as the one at {first}: these bodies stay where they are. To move them, give "
+                "them a handle.",
                 HandleWarning,
                 stacklevel=3,
             )
@@ -86,8 +97,8 @@ class Edit(Flow):
             if held[number - 1].any():
                 continue
             warnings.warn(
-                f"Edit: at time {start:g} handle {number} ({handle.name!r}) holds no vertex any more: the surface is "
-                "not where the handle took it. Take smaller steps, or more training for each.",
+                f"{self.call}: at time {start:g} handle {number} ({handle.name!r}) holds no vertex any more: the "
+                "surface is not where the handle took it. Take smaller steps, or more training for each.",
                 HandleWarning,
                 stacklevel=3,
             )
@@ -98,8 +109,8 @@ class Edit(Flow):
         held &= first == np.arange(len(held))[:, None]
         if not held.any():
             raise ValueError(
-                f"Edit: at time {start:g} no handle holds any of the {len(x)} vertices of the mesh; the surface is not "
-                "where the handles took it. Take smaller steps, or more training for each."
+                f"{self.call}: at time {start:g} no handle holds any of the {len(x)} vertices of the mesh; the surface "
+                "is not where the handles took it. Take smaller steps, or more training for each."
             )
         return [
             Pull(np.flatnonzero(mine), partial(_carried, handle, start, end))

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from levelflow.fields import Map
-from levelflow.jets import Jet, identity
+from levelflow.jets import Jet, identity, weighted_squares
 from levelflow.networks.siren import sine
 
 
@@ -117,6 +117,26 @@ class InvertibleResNet(Map):
         for residual in self._residuals():
             moved = moved + residual.push(moved.beside(jet.components(self.space)))
         return moved
+
+    def along(
+        self, x: Float[Tensor, "n d"], t: Float[Tensor, "n k"], covector: Float[Tensor, "n d"]
+    ) -> tuple[Jet, Float[Tensor, "n d d"]]:
+        r"""The jet of D of order 1, and $\sum_k a_k \nabla^2 D_k$ for a covector a of each point.
+
+        By the adjoint Hessian that is 1 + d planes forward and one back; all second derivatives take $1 + d + d^2$.
+        """
+        jet = identity(x, t, order=1)
+        moved, residuals, traces = jet.components(0, self.space), self._residuals(), []
+        times = jet.components(self.space)
+        for residual in residuals:
+            added, trace = residual.traced(moved.beside(times))
+            moved = moved + added
+            traces.append(trace)
+        hessian = x.new_zeros(len(x), self.space, self.space)
+        for residual, trace in zip(reversed(residuals), reversed(traces), strict=True):
+            back, bent = residual.adjoint(covector, trace)
+            covector, hessian = covector + back[:, : self.space], hessian + bent
+        return moved, hessian
 
     @torch.no_grad()
     def inverse(
@@ -271,6 +291,38 @@ class _Residual:
         for layer in rest:
             jet = jet.pointwise(sine).affine(*layer)
         return jet
+
+    def traced(self, jet: Jet) -> tuple[Jet, list[tuple[Tensor, Tensor, Tensor]]]:
+        """The jet of g of order 1, with the derivatives s', s'' and the space derivatives before each sine."""
+        frequencies, phases, mix = self.waves
+        first, *rest = self.layers
+        trace = []
+
+        def through(inner: Jet) -> Jet:
+            sine_, cosine = torch.sin(inner.value), torch.cos(inner.value)
+            trace.append((cosine, -sine_, inner.gradient))
+            return Jet(sine_, None if inner.first is None else cosine[:, None] * inner.first, None, inner.space)
+
+        jet = jet.affine(*first) + through(jet.affine(frequencies, phases)).affine(mix)
+        for layer in rest:
+            jet = through(jet).affine(*layer)
+        return jet, trace
+
+    def adjoint(self, covector: Tensor, trace: list[tuple[Tensor, Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
+        """What a covector after g is before it, and the sum of the Hessians of the sines that it passes on its way."""
+        frequencies, _, mix = self.waves
+        first, *rest = self.layers
+        waves, *sines = trace
+        bent: Tensor | None = None
+        for (weight, _), (slope, bend, planes) in zip(reversed(rest), reversed(sines), strict=True):
+            covector = covector @ weight
+            term = weighted_squares(covector * bend, planes)
+            bent = term if bent is None else bent + term
+            covector = covector * slope
+        slope, bend, planes = waves
+        mixed = covector @ mix
+        bent = weighted_squares(mixed * bend, planes) + (0 if bent is None else bent)
+        return covector @ first[0] + (mixed * slope) @ frequencies, bent
 
     def inverse(self, y: Tensor, t: Tensor, *, tolerance: float) -> Tensor:
         """The points x with x + g(x, t) within the tolerance of y."""

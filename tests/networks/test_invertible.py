@@ -71,6 +71,25 @@ def test_the_jet_of_the_map_and_of_its_inverse_is_that_of_automatic_differentiat
         assert agree(found, found, x, t)
 
 
+@pytest.mark.parametrize(("space", "time"), KINDS)
+@pytest.mark.parametrize("depth", [1, 3])
+def test_second_derivatives_along_a_covector_are_those_of_the_jet(
+    space: int, time: int, depth: int, generator: torch.Generator
+) -> None:
+    network = invertible(space, time, depth=depth)
+    x, t = drawn(space, time, generator)
+    covector = torch.randn(x.shape, generator=generator, dtype=x.dtype)
+    whole, (found, bent) = network.push(identity(x, t, order=2)), network.along(x, t, covector)
+    assert torch.allclose(found.value, whole.value, rtol=0, atol=1e-12)
+    assert torch.allclose(found.first, whole.first, rtol=0, atol=1e-12)
+    exact = (whole.second @ covector[:, None, :, None])[..., 0]
+    assert (bent - exact).abs().max() < 1e-12 * max(1.0, float(exact.detach().abs().max()))
+    weights = list(network.parameters())
+    pairs = (torch.autograd.grad(made.square().sum(), weights, materialize_grads=True) for made in (bent, exact))
+    for a, b in zip(*pairs, strict=True):
+        assert torch.allclose(a, b, rtol=1e-9, atol=1e-9 * float(b.abs().max()))
+
+
 class AfterWave(Map):
     """A map of the plane and one time after a map that makes both points and times from three coordinates."""
 

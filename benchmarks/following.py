@@ -386,7 +386,7 @@ def orders(options: argparse.Namespace) -> Section:
         found = [collapse(alone(start, flows.MeanCurvature(1.0), last / n, n), last) for n in counts]
         add(extrapolated(f"{resolution} cells", found))
     section.found = (
-        "the flow is of about the first order in the step of time. Extrapolated to no step at all, the ball is wrong by "
+        "the flow is of about the first order in the step of time. Extrapolated to no step, the ball is wrong by "
         f"{', '.join(f'{limit:.3%}' for limit in limits)} for {', '.join(map(str, cells))} cells, which is the order "
         f"{math.log2(limits[0] / limits[2]) / 2:.1f} in the cells."
     )

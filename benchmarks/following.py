@@ -306,15 +306,24 @@ def scan(options: argparse.Namespace) -> Section | None:
         "Figure 6: a scan is smoothed",
         f"{options.mesh.stem}, {max(shape.box.size):.2g} long, under mean curvature of rate 1, from a fit that is "
         f"{error:.1g} away from it on average. Ours is held to 0.002 of half the box instead of 0.0005: `evolve` does "
-        "not get this network to less at first, whatever the step.",
+        "not get this network to less at first, whatever the step. Eight descents a step are left out: among the meshes "
+        "that they come to is one of whose flow the memory runs out.",
         '"MeshSDF fails to smoothen the surface": "the deformation is not curvature based and high-frequency features '
         'are retained". No numbers.',
     )
-    return smoothed(section, start, rate=1.0, dt=2.5e-4, steps=4, tolerance=2e-3)
+    methods = [name for name in SMOOTHING if name != "MeshSDF, 8 descents"]
+    return smoothed(section, start, rate=1.0, dt=2.5e-4, steps=4, tolerance=2e-3, methods=methods)
 
 
 def smoothed(
-    section: Section, start: Placed, *, rate: float, dt: float, steps: int, tolerance: float = 5e-4
+    section: Section,
+    start: Placed,
+    *,
+    rate: float,
+    dt: float,
+    steps: int,
+    tolerance: float = 5e-4,
+    methods: Sequence[str] = SMOOTHING,
 ) -> Section:
     """Mean curvature of a field by all methods, against the flow of its mesh alone."""
     flow, first = flows.MeanCurvature(rate), extract(start, resolution=96, refine=3)
@@ -340,16 +349,12 @@ def smoothed(
         ])  # fmt: skip
 
     judge("no motion", start, 0.0)
-    for name in SMOOTHING:
+    for name in methods:
         more = {"tolerance": tolerance} if name == "ours" else {}
         moved, seconds = followed(name, start, flow, dt=dt, steps=steps, resolution=64, **more)
         judge(name, moved.at(dt * steps), seconds)
-    left = {name: f"{gap / far['no motion']:.0%}" for name, gap in far.items()}
-    section.found = (
-        f"of the distance to the reference, {far['no motion']:.4f} on average, {left['ours']} are left under ours, "
-        f"{left['MeshSDF']} under MeshSDF, {left['MeshSDF, 8 descents']} with eight descents a step, and "
-        f"{left['ray marching']} under ray marching."
-    )
+    left = ", ".join(f"{far[name] / far['no motion']:.0%} under {name}" for name in methods)
+    section.found = f"of the distance to the reference, {far['no motion']:.4f} on average, what is left is {left}."
     section.picture = pictures(meshes, section.title.partition(": ")[2])
     return section
 
@@ -386,7 +391,7 @@ def orders(options: argparse.Namespace) -> Section:
         found = [collapse(alone(start, flows.MeanCurvature(1.0), last / n, n), last) for n in counts]
         add(extrapolated(f"{resolution} cells", found))
     section.found = (
-        "the flow is of about the first order in the step of time. Extrapolated to no step at all, the ball is wrong by "
+        "the flow is of about the first order in the step of time. Extrapolated to no step, the ball is wrong by "
         f"{', '.join(f'{limit:.3%}' for limit in limits)} for {', '.join(map(str, cells))} cells, which is the order "
         f"{math.log2(limits[0] / limits[2]) / 2:.1f} in the cells."
     )
@@ -403,7 +408,7 @@ def resolutions(options: argparse.Namespace) -> Section:
     )
     add = section.table("ball", "field", "mesh alone", "slope", "s")
     start, flow = fitted(Sphere(RADIUS), steps=300), flows.MeanCurvature(RATE)
-    for resolution, substeps in ((64, 1), (32, 4), (64, 4), (96, 4)):
+    for resolution, substeps in ((64, 1), (32, 4), (64, 4)):
         moved, seconds = followed(
             "ours", start, flow, dt=UNTIL / steps, steps=steps, resolution=resolution, substeps=substeps
         )
@@ -416,7 +421,7 @@ def resolutions(options: argparse.Namespace) -> Section:
         ])  # fmt: skip
     add = section.table("torus", "field", "mesh alone", "slope", "s")
     start, flow = fitted(torus, box=torus.box.expanded(0.2)), flows.MeanCurvature(1.0)
-    for resolution in (32, 64, 96):
+    for resolution in (32, 64):
         moved, seconds = followed("ours", start, flow, dt=last / steps, steps=steps, resolution=resolution)
         other = alone(extract(start, resolution=resolution, refine=3), flow, last / (4 * steps), 4 * steps)
         found, x = surface(moved, last, 96)

@@ -24,7 +24,7 @@ Columns:
     stretch  the mean of |1 - J^T J|^2 in the tangent plane over the area at rest, of the faces of the same mesh, with
              what the field does to its vertices
     bend     the same of 3 (angle - angle at rest)^2 l^2 / A at the edges, l long and between faces of the area A, in
-             half sides of the box
+             half sides of the box; 3 / r^2 for a flat regular grid that is rolled up
     cuts     pairs of faces that pass through each other
     s        seconds of the processor
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from levelflow import SIREN, Box, Budget, Circle, Placed, Rectangle, Sampling, extract, fit
+from levelflow import SIREN, Box, Budget, Circle, Mesh, Placed, Rectangle, Sampling, extract, fit
 from levelflow.conditions import Given
 from levelflow.equations import Eikonal, LevelSetEquation, MeanCurvature, Morph, Rotation, Source, Stationary, Transport
 from levelflow.flows import Edit, edge_distortion
@@ -20,6 +20,7 @@ from levelflow.shapes.implicit import Implicit
 from levelflow.suite import HALF_WAY
 from levelflow.suite.suite import along
 from tests.fields import Explicit, differentiated
+from tests.flows.examples import icosphere
 
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
 
@@ -33,7 +34,8 @@ def benchmark(name):
     return module
 
 
-grid, keyframes, recipe, features, editing = (
+deformation, grid, keyframes, recipe, features, editing = (
+    benchmark("deformation"),
     benchmark("grid"),
     benchmark("keyframes"),
     benchmark("recipe"),
@@ -295,3 +297,22 @@ def test_libigl_takes_a_surface_whose_handles_turn_together_along_rigidly():
 def test_the_edits_of_the_benchmark_have_regions_on_one_side_of_a_plane():
     half = editing.beyond(1, -0.45, above=False)
     assert (half.distance(np.array([[3.0, -0.5, -2.0], [0.0, -0.4, 0.0]])) > 0).tolist() == [False, True]
+
+
+def test_energies_of_deformed_meshes_are_those_of_known_deformations():
+    """A rigid motion costs nothing, a scale stretches, a plate of a regular grid that is rolled up costs 3 / r^2."""
+    ball = icosphere(3)
+    assert deformation.stretch(ball, Mesh(ball.vertices + 3, ball.faces)) < 1e-20
+    assert deformation.bend(ball, Mesh(2 * ball.vertices, ball.faces), 1.0) < 1e-20
+    assert abs(deformation.stretch(ball, Mesh(2 * ball.vertices, ball.faces)) - 2 * 0.75**2 * 4) < 1e-9
+    x, y = (part.reshape(-1) for part in np.meshgrid(np.linspace(0, 1, 81), np.linspace(0, 1, 81), indexing="ij"))
+    i = (np.arange(80)[:, None] * 81 + np.arange(80)).reshape(-1)
+    faces = np.concatenate([np.stack([i, i + 81, i + 82], 1), np.stack([i, i + 82, i + 1], 1)])
+    flat = Mesh(np.stack([x, y, 0 * x], 1), faces)
+    rolled = Mesh(np.stack([np.sin(x), y, 1 - np.cos(x)], 1), faces)
+    assert deformation.stretch(flat, rolled) < 1e-6
+    assert abs(deformation.bend(flat, rolled, 1.0) - 3) < 0.05
+    assert deformation.cuts(rolled) == 0
+    upright = flat.vertices[:, [0, 2, 1]] + [0.01, 0.5, -0.5]
+    crossed = Mesh(np.concatenate([flat.vertices, upright]), np.concatenate([faces, faces + len(x)]))
+    assert deformation.cuts(crossed) > 0

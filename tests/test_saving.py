@@ -12,6 +12,7 @@ from levelflow import (
     Budget,
     Checkpoint,
     Circle,
+    Continued,
     Deformed,
     Inverse,
     LipschitzMLP,
@@ -72,6 +73,7 @@ def test_a_slice_is_saved_like_any_field(tmp_path, generator):
     [
         lipschitz(3, 1),
         LipschitzMLP(3, 1, width=8),
+        Deformed(Continued(placed_anywhere(3)), invertible(3, 1)),
         Deformed(siren(3), invertible(3, 1, blocks=2, depth=1, lipschitz=0.7)),
         Deformed(siren(3), Inverse(invertible(3, 1).float(), tolerance=1e-3)),
         Deformed(placed_anywhere(3), Inverse(invertible(3, 1))),
@@ -82,6 +84,7 @@ def test_a_slice_is_saved_like_any_field(tmp_path, generator):
     ids=[
         "Lipschitz",
         "Lipschitz in float32",
+        "deformed beyond its box",
         "deformed",
         "carried",
         "carried in units",
@@ -305,7 +308,7 @@ def test_only_fields_of_networks_are_saved(unchecked, tmp_path):
         save(Placed(inner, BOX), tmp_path / "f.safetensors")
 
 
-@pytest.mark.filterwarnings("ignore:Implicit.sample")
+@pytest.mark.filterwarnings("ignore:sample_surface")
 def test_an_interrupted_run_goes_on_and_ends_the_same(tmp_path):
     class Interrupted(Exception):
         pass

@@ -1,4 +1,4 @@
-"""What does scaling the curvature of a field do, beside what smooths meshes and beside motion by mean curvature?
+"""What does scaling the curvature of a field do, beside what smooths meshes?
 
     python benchmarks/filtering.py [ripples] [sphere] [armadillo] [--fields FOLDER] [-o FOLDER]
 
@@ -19,7 +19,6 @@ Rows beside ours:
     Taubin, extracted   ten steps of his filter (0.5, -0.53, equal weights) on the mesh extracted from the field
     Taubin, decimated   the same, on the extracted mesh brought down to 3000 faces first: figure 2 of the paper
     flows.Taubin        ours, which knows areas, on the extracted mesh, up to the same wavelength
-    mean curvature      `solve(MeanCurvature)`, at the time at which its noisy half is as ours, or at its end
 
 A mesh that is sharpened goes as far the other way as it would go in smoothing.
 
@@ -59,9 +58,7 @@ from levelflow import (
     load,
     save,
     scale_curvature,
-    solve,
 )
-from levelflow.equations import MeanCurvature
 from levelflow.rendering.images import stack
 
 MESHES = Path(
@@ -182,17 +179,6 @@ def sphere(options: argparse.Namespace) -> np.ndarray:
     row("Taubin, decimated", *timed(lambda: taubin(decimated(mesh))))
     for length in options.lengths:
         row(f"flows.Taubin, {length:g}", *timed(lambda length=length: even_taubin(mesh, length)))  # type: ignore[misc]
-    wanted = deviations(shown[f"ours, {options.lengths[-1]:g}"])[0]
-    last = 4 * (options.lengths[-1] / (2 * math.pi)) ** 2
-    flow, seconds = timed(
-        lambda: solve(MeanCurvature(1.0), SIREN(time=1), at={0.0: given}, until=last, start=given,
-                      budget=Budget(options.steps))
-    )  # fmt: skip
-    for t in np.linspace(0, last, 9)[1:]:
-        now = flow.at(float(t))
-        if deviations(now)[0] <= wanted or t == last:
-            row(f"mean curvature, t = {t:.4g}", now, seconds)
-            break
     return pictures(shown, "a sphere, noisy above", azimuth=30, elevation=35)
 
 

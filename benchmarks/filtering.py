@@ -183,7 +183,7 @@ def sphere(options: argparse.Namespace) -> np.ndarray:
 
 
 def armadillo(options: argparse.Namespace) -> list[np.ndarray]:
-    """A table and rows of pictures."""
+    """A table and two rows of pictures, whole and from near."""
     network = SIREN(3, width=160, omega=20.0, generator=torch.Generator().manual_seed(0))
     given = fitted("armadillo160", lambda: Mesh.read(MESHES / "armadillo.obj"), network, 1200, options.fields)
     unit = given.box.frame.scale
@@ -200,9 +200,8 @@ def armadillo(options: argparse.Namespace) -> list[np.ndarray]:
         )  # fmt: skip
         return mesh
 
-    made: list[dict[str, Mesh]] = []
+    shown = {"given": before}
     for title, factors in (("smoothed", options.smooth), ("sharpened", [2.0])):
-        shown = {"given": before}
         for factor in factors:
             field, seconds = timed(
                 lambda factor=factor: scale_curvature(given, factor, budget=Budget(options.steps))  # type: ignore[misc]
@@ -210,15 +209,16 @@ def armadillo(options: argparse.Namespace) -> list[np.ndarray]:
             shown[f"ours, {factor:g}"] = row(f"ours, {factor:g}", field, seconds)
         for name, mesh in (("extracted", before), ("decimated", few)):
             act = taubin if title == "smoothed" else lambda mesh: sharpened(mesh, taubin)
-            shown[f"Taubin, {name}"] = row(f"Taubin, {name}, {title}", *timed(lambda mesh=mesh, act=act: act(mesh)))  # type: ignore[misc]
-        made.append(shown)
+            label = f"Taubin, {name}, {title}"
+            shown[label] = row(label, *timed(lambda mesh=mesh, act=act: act(mesh)))  # type: ignore[misc]
+                f"Taubin, {name}, {title}", *timed(lambda mesh=mesh, act=act: act(mesh))
+            )  # type: ignore[misc]
     low, high = np.array(before.box.lower), np.array(before.box.upper)
     head = low + np.array([0.25, 0.55, 0.0]) * (high - low), low + np.array([0.75, 1.0, 1.0]) * (high - low)
     near = before.vertices[((before.vertices > head[0]) & (before.vertices < head[1])).all(1)]
     return [
-        pictures(shown, title, points=points, azimuth=azimuth, elevation=10)
-        for shown, title in zip(made, ("smoothed", "sharpened"), strict=True)
-        for points, azimuth in ((before.vertices, options.azimuth), (near, options.azimuth))
+        pictures(shown, title, points=points, azimuth=options.azimuth, elevation=10)
+        for points, title in ((before.vertices, "smoothed and sharpened"), (near, "from near"))
     ]
 
 

@@ -211,8 +211,6 @@ def armadillo(options: argparse.Namespace) -> list[np.ndarray]:
             act = taubin if title == "smoothed" else lambda mesh: sharpened(mesh, taubin)
             label = f"Taubin, {name}, {title}"
             shown[label] = row(label, *timed(lambda mesh=mesh, act=act: act(mesh)))  # type: ignore[misc]
-                f"Taubin, {name}, {title}", *timed(lambda mesh=mesh, act=act: act(mesh))
-            )  # type: ignore[misc]
     low, high = np.array(before.box.lower), np.array(before.box.upper)
     head = low + np.array([0.25, 0.55, 0.0]) * (high - low), low + np.array([0.75, 1.0, 1.0]) * (high - low)
     near = before.vertices[((before.vertices > head[0]) & (before.vertices < head[1])).all(1)]

@@ -1,4 +1,4 @@
-"""What does scaling the curvature of a field do, beside what smooths meshes and beside motion by mean curvature?
+"""What does scaling the curvature of a field do, beside what smooths meshes?
 
     python benchmarks/filtering.py [ripples] [sphere] [armadillo] [--fields FOLDER] [-o FOLDER]
 
@@ -19,7 +19,6 @@ Rows beside ours:
     Taubin, extracted   ten steps of his filter (0.5, -0.53, equal weights) on the mesh extracted from the field
     Taubin, decimated   the same, on the extracted mesh brought down to 3000 faces first: figure 2 of the paper
     flows.Taubin        ours, which knows areas, on the extracted mesh, up to the same wavelength
-    mean curvature      `solve(MeanCurvature)`, at the time at which its noisy half is as ours, or at its end
 
 A mesh that is sharpened goes as far the other way as it would go in smoothing.
 
@@ -59,9 +58,7 @@ from levelflow import (
     load,
     save,
     scale_curvature,
-    solve,
 )
-from levelflow.equations import MeanCurvature
 from levelflow.rendering.images import stack
 
 MESHES = Path(
@@ -182,22 +179,11 @@ def sphere(options: argparse.Namespace) -> np.ndarray:
     row("Taubin, decimated", *timed(lambda: taubin(decimated(mesh))))
     for length in options.lengths:
         row(f"flows.Taubin, {length:g}", *timed(lambda length=length: even_taubin(mesh, length)))  # type: ignore[misc]
-    wanted = deviations(shown[f"ours, {options.lengths[-1]:g}"])[0]
-    last = 4 * (options.lengths[-1] / (2 * math.pi)) ** 2
-    flow, seconds = timed(
-        lambda: solve(MeanCurvature(1.0), SIREN(time=1), at={0.0: given}, until=last, start=given,
-                      budget=Budget(options.steps))
-    )  # fmt: skip
-    for t in np.linspace(0, last, 9)[1:]:
-        now = flow.at(float(t))
-        if deviations(now)[0] <= wanted or t == last:
-            row(f"mean curvature, t = {t:.4g}", now, seconds)
-            break
     return pictures(shown, "a sphere, noisy above", azimuth=30, elevation=35)
 
 
 def armadillo(options: argparse.Namespace) -> list[np.ndarray]:
-    """A table and rows of pictures."""
+    """A table and two rows of pictures, whole and from near."""
     network = SIREN(3, width=160, omega=20.0, generator=torch.Generator().manual_seed(0))
     given = fitted("armadillo160", lambda: Mesh.read(MESHES / "armadillo.obj"), network, 1200, options.fields)
     unit = given.box.frame.scale
@@ -214,9 +200,8 @@ def armadillo(options: argparse.Namespace) -> list[np.ndarray]:
         )  # fmt: skip
         return mesh
 
-    made: list[dict[str, Mesh]] = []
+    shown = {"given": before}
     for title, factors in (("smoothed", options.smooth), ("sharpened", [2.0])):
-        shown = {"given": before}
         for factor in factors:
             field, seconds = timed(
                 lambda factor=factor: scale_curvature(given, factor, budget=Budget(options.steps))  # type: ignore[misc]
@@ -224,15 +209,14 @@ def armadillo(options: argparse.Namespace) -> list[np.ndarray]:
             shown[f"ours, {factor:g}"] = row(f"ours, {factor:g}", field, seconds)
         for name, mesh in (("extracted", before), ("decimated", few)):
             act = taubin if title == "smoothed" else lambda mesh: sharpened(mesh, taubin)
-            shown[f"Taubin, {name}"] = row(f"Taubin, {name}, {title}", *timed(lambda mesh=mesh, act=act: act(mesh)))  # type: ignore[misc]
-        made.append(shown)
+            label = f"Taubin, {name}, {title}"
+            shown[label] = row(label, *timed(lambda mesh=mesh, act=act: act(mesh)))  # type: ignore[misc]
     low, high = np.array(before.box.lower), np.array(before.box.upper)
     head = low + np.array([0.25, 0.55, 0.0]) * (high - low), low + np.array([0.75, 1.0, 1.0]) * (high - low)
     near = before.vertices[((before.vertices > head[0]) & (before.vertices < head[1])).all(1)]
     return [
-        pictures(shown, title, points=points, azimuth=azimuth, elevation=10)
-        for shown, title in zip(made, ("smoothed", "sharpened"), strict=True)
-        for points, azimuth in ((before.vertices, options.azimuth), (near, options.azimuth))
+        pictures(shown, title, points=points, azimuth=options.azimuth, elevation=10)
+        for points, title in ((before.vertices, "smoothed and sharpened"), (near, "from near"))
     ]
 
 

@@ -165,7 +165,7 @@ def test_wrong_use_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
         scale_curvature(field, -1.0)
     with pytest.raises(ValueError, match=r"wavelength=0, threshold=None\): both must be positive, a length and a"):
         scale_curvature(field, 0.0, wavelength=0.0)
-    with pytest.raises(ValueError, match=r"threshold=0\): both must be positive"):
+    with pytest.raises(ValueError, match=r"threshold=0.0\): both must be positive"):
         scale_curvature(field, 0.0, threshold=0.0)
     with pytest.raises(ValueError, match=r"threshold=0.001\): the surface is bent more everywhere; give a larger one"):
         scale_curvature(field, 2.0, threshold=0.001, **small)

@@ -28,14 +28,10 @@ def test_a_shape_is_fitted_and_filtered(run, here):
         "after.ply", "before.ply", "before.safetensors", "field.safetensors", "filter.png", "report.json"
     ]  # fmt: skip
     report = json.loads((here / "out" / "report.json").read_text())
-    assert (
-        report["steps"] == 5
-        and report["settings"]["factor"] == 0.5
-        and report["threshold"] * report["wavelength"] == pytest.approx(2 * math.pi)
-    )
-    assert Mesh.read(here / "out" / "after.ply").volume == pytest.approx(
-        report["surfaces"]["after"]["volume"], rel=1e-3
-    )
+    assert report["steps"] == 5 and report["settings"]["factor"] == 0.5
+    assert report["threshold"] * report["wavelength"] == pytest.approx(2 * math.pi)
+    volume = report["surfaces"]["after"]["volume"]
+    assert Mesh.read(here / "out" / "after.ply").volume == pytest.approx(volume, rel=1e-3)
     provenance = describe("out/field.safetensors")["provenance"]
     assert provenance["verb"] == "filter" and provenance["inputs"] == ["torus"]
 

@@ -85,7 +85,7 @@ def test_a_turn_and_a_push_end_as_far_apart_as_they_should():
     assert told(EAST, TURN, ends=(0.0, 0.01)) == ""
 
 
-@pytest.mark.filterwarnings("ignore:Implicit.sample")
+@pytest.mark.filterwarnings("ignore:sample_surface")
 def test_solving_and_carrying_warn_once_and_loading_does_not(tmp_path):
     quick = {"budget": Budget(2), "sampling": Sampling(64, given=500)}
     with pytest.warns(UserWarning, match="Training settles between the two orders") as found:

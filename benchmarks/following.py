@@ -211,7 +211,7 @@ def plane(options: argparse.Namespace) -> Section:
         f"after {times[-1]:g} the plane is nowhere farther than {worst['ours']:.0%} of the way from where it belongs "
         f"under ours, and up to {worst['MeshSDF']:.0%} under MeshSDF with the best length of a step, which only brings "
         f"the mean right; {worst['MeshSDF, 8 descents']:.0%} with eight descents a step. With 2e-6 as the rate of Adam "
-        f"{1 - worst['MeshSDF, Adam 2e-6']:.0%} of the way or more is made: a rate is no distance."
+        f"it stays behind by up to {worst['MeshSDF, Adam 2e-6']:.0%}: a rate is no distance."
     )
     section.picture = pictures(meshes, "a slab whose sides move out by 0.1")
     return section

@@ -306,8 +306,8 @@ def scan(options: argparse.Namespace) -> Section | None:
         "Figure 6: a scan is smoothed",
         f"{options.mesh.stem}, {max(shape.box.size):.2g} long, under mean curvature of rate 1, from a fit that is "
         f"{error:.1g} away from it on average. Ours is held to 0.002 of half the box instead of 0.0005: `evolve` does "
-        "not get this network to less at first, whatever the step. Eight descents a step are left out: among the meshes "
-        "that they come to is one of whose flow the memory runs out.",
+        "not get this network to less at first, whatever the step. Eight descents a step are left out: among the "
+        "meshes that they come to is one in whose flow the memory runs out.",
         '"MeshSDF fails to smoothen the surface": "the deformation is not curvature based and high-frequency features '
         'are retained". No numbers.',
     )

@@ -211,7 +211,7 @@ def plane(options: argparse.Namespace) -> Section:
         f"after {times[-1]:g} the plane is nowhere farther than {worst['ours']:.0%} of the way from where it belongs "
         f"under ours, and up to {worst['MeshSDF']:.0%} under MeshSDF with the best length of a step, which only brings "
         f"the mean right; {worst['MeshSDF, 8 descents']:.0%} with eight descents a step. With 2e-6 as the rate of Adam "
-        f"{1 - worst['MeshSDF, Adam 2e-6']:.0%} of the way or more is made: a rate is no distance."
+        f"it stays behind by up to {worst['MeshSDF, Adam 2e-6']:.0%}: a rate is no distance."
     )
     section.picture = pictures(meshes, "a slab whose sides move out by 0.1")
     return section
@@ -306,8 +306,8 @@ def scan(options: argparse.Namespace) -> Section | None:
         "Figure 6: a scan is smoothed",
         f"{options.mesh.stem}, {max(shape.box.size):.2g} long, under mean curvature of rate 1, from a fit that is "
         f"{error:.1g} away from it on average. Ours is held to 0.002 of half the box instead of 0.0005: `evolve` does "
-        "not get this network to less at first, whatever the step. Eight descents a step are left out: among the meshes "
-        "that they come to is one of whose flow the memory runs out.",
+        "not get this network to less at first, whatever the step. Eight descents a step are left out: among the "
+        "meshes that they come to is one in whose flow the memory runs out.",
         '"MeshSDF fails to smoothen the surface": "the deformation is not curvature based and high-frequency features '
         'are retained". No numbers.',
     )

@@ -88,7 +88,7 @@ def test_energies_that_are_told_are_those_of_the_carried_curve(bent: Placed) -> 
     surface = extract(bar(), resolution=512, refine=3)
     y = bent.box.frame.to_unit(torch.tensor(surface.vertices))
     x = deformation.inverse(y).double()
-    i, j = surface.faces.T
+    i, j = torch.tensor(surface.faces).T
     rest, now = (torch.linalg.vector_norm(p[i] - p[j], dim=1).double() for p in (y.double(), x))
     known = rest > 0.2 * rest.mean()
     energy = ((1 - (rest / now) ** 2) ** 2 * now)[known].sum() / rest[known].sum()

@@ -350,12 +350,14 @@ def _poses(edit: Edit, held: np.ndarray, targets: Sequence[np.ndarray]) -> list[
     """Where a first guess has all vertices, at rest and at each of the parts after it.
 
     A surface is as rigid as possible at each part, starting from the one before. The two sides of a closed curve would
-    pass through each other that way; the motions of its handles are blended.
+    pass through each other that way, and so would those of a surface that is turned by more than a third of a circle;
+    there the motions of the handles are blended.
     """
     surface, poses = edit.surface, [edit.surface.vertices]
+    rigid = surface.vertices.shape[1] == 3 and max(abs(handle.angle) for handle in edit.handles) <= 120
     stages = len(targets) - 1
     for stage, target in enumerate(targets[1:]):
-        if surface.vertices.shape[1] == 3:
+        if rigid:
             poses.append(arap(surface, held, target, iterations=RIGID, start=poses[-1]))
         else:
             mesh = Mesh(poses[-1], surface.faces)

@@ -327,7 +327,9 @@ def main() -> None:
             known = edits()
             if unknown := set(options.edits) - set(known):
                 parser.error(f"there is no edit {', '.join(sorted(unknown))}; known are {', '.join(known)}")
-            stack([table(name, *known[name], options) for name in options.edits or known], options.output)
+            sheets = [table(name, *known[name], options) for name in options.edits or known]
+    widest = max(sheet.shape[1] for sheet in sheets)
+    stack([np.pad(s, ((0, 0), (0, widest - s.shape[1]), (0, 0)), mode="edge") for s in sheets], options.output)
     print(options.output)
 
 

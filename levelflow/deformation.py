@@ -143,9 +143,12 @@ def invertible(space: int, time: int = 0, *, blocks: int = 6) -> InvertibleResNe
 
 
 class Guess:
-    """What the mesh would do on its own, towards which D is led at first."""
+    """What the mesh would do on its own, towards which D is led at first, from stage to stage of the way.
 
-    name, weight, until = "guess", 10.0, 1 / 3
+    A map that turns by half a circle is no small step from the identity: led to the end at once it ends up elsewhere.
+    """
+
+    name, weight, until, spent = "guess", 10.0, 1 / 3, 0.0
 
     def __init__(self, network: Map, motion: Motion, *, n: int) -> None:
         self.network, self.motion, self.n = network, motion, n
@@ -153,7 +156,11 @@ class Guess:
     def sample(self, generator: torch.Generator) -> Batch:
         m = self.motion
         i, k = (torch.randint(size, (self.n,), generator=generator) for size in (len(m.rest), len(m.times)))
-        return m.moved[k, i], m.rest[i], m.times[k]
+        # The last stage has the last quarter.
+        last = len(m.way) - 1
+        stage = min(last, 1 + int((last - 1) * self.spent / (0.75 * self.until)))
+        moved = m.moved[k, i] if len(m.times) > 1 else m.way[stage, i]
+        return moved, m.rest[i], m.times[k]
 
     def loss(self, *batch: Tensor) -> Tensor:
         x, y, t = batch
@@ -166,7 +173,7 @@ class Held:
     Its weight becomes ten times as large towards the end: the surface first finds its form, and then the handles.
     """
 
-    name, weight, spent = "handles", 100.0, 0.0
+    name, weight, spent, since = "handles", 100.0, 0.0, Guess.until
 
     def __init__(self, network: Map, motion: Motion, *, n: int) -> None:
         self.network, self.motion, self.n = network, motion, n
@@ -270,6 +277,7 @@ class Motion:
         faces: The faces of the extracted surface, and their areas.
         rest: Its vertices at rest, (n, d).
         moved: Where the first guess has them at each part, (p, n, d).
+        way: The same at each stage of the way there, (s, n, d).
         held: Which of them are held, by handles or for want of any, (h,).
         targets: Where these are to be at each part, (p, h, d).
         shares: How often each of these is drawn, (h,).
@@ -281,6 +289,7 @@ class Motion:
     faces: tuple[Tensor, Tensor]
     rest: Float[Tensor, "n d"]
     moved: Float[Tensor, "p n d"]
+    way: Float[Tensor, "s n d"]
     held: Tensor
     targets: Float[Tensor, "p h d"]
     shares: Float[Tensor, " h"]
@@ -305,11 +314,11 @@ class Motion:
             )
             for part in parts
         ]
-        poses = _poses(edit, held, targets)
+        way = poses = _poses(edit, held, targets)
         if not path:
             parts, targets, poses = [1.0], targets[-1:], poses[-1:]
         shares = np.concatenate([np.full(len(group), 1 / max(1, len(group))) for group in groups])
-        around = Box.around(np.concatenate(poses)).expanded(MARGIN * max(surface.box.size))
+        around = Box.around(np.concatenate(way)).expanded(MARGIN * max(surface.box.size))
         box = field.box.union(around).during(*[(0.0, 1.0)] * path)
         like = next(field.parameters())
 
@@ -322,6 +331,7 @@ class Motion:
             (torch.tensor(surface.faces), torch.tensor(surface.face_areas)),
             unit(surface.vertices),
             torch.stack([unit(pose) for pose in poses]),
+            torch.stack([unit(pose) for pose in way]),
             torch.from_numpy(held).to(like.device),
             torch.stack([unit(target) for target in targets]),
             torch.from_numpy(shares),

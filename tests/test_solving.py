@@ -184,7 +184,7 @@ def test_it_starts_from_a_fitted_field(generator):
     start = fit(SIREN(2, width=32, depth=2), shape, **QUICK)
     field = solve(
         equations.MeanCurvature(0.1), network(), at={0.0: start}, until=0.4, start=start,
-        budget=Budget(steps=120), sampling=QUICK["sampling"],
+        **QUICK,
     )  # fmt: skip
     assert (radii(field, 0.0, generator) - 0.5).abs().max() < 0.01
     assert (radii(field, 0.4, generator) - math.sqrt(0.17)).abs().mean() < 0.006

@@ -146,9 +146,12 @@ class Guess:
     """What the mesh would do on its own, towards which D is led at first, from stage to stage of the way.
 
     A map that turns by half a circle is no small step from the identity: led to the end at once it ends up elsewhere.
+    Beyond a right angle it is therefore led there in stages; the last has the last quarter, and the handles act from
+    then on.
     """
 
     name, weight, until, spent = "guess", 10.0, 1 / 3, 0.0
+    arrived = 0.75 * until
 
     def __init__(self, network: Map, motion: Motion, *, n: int) -> None:
         self.network, self.motion, self.n = network, motion, n
@@ -156,9 +159,8 @@ class Guess:
     def sample(self, generator: torch.Generator) -> Batch:
         m = self.motion
         i, k = (torch.randint(size, (self.n,), generator=generator) for size in (len(m.rest), len(m.times)))
-        # The last stage has the last quarter.
         last = len(m.way) - 1
-        stage = min(last, 1 + int((last - 1) * self.spent / (0.75 * self.until)))
+        stage = min(last, 1 + int((last - 1) * self.spent / self.arrived)) if last else 0
         moved = m.moved[k, i] if len(m.times) > 1 else m.way[stage, i]
         return moved, m.rest[i], m.times[k]
 
@@ -173,10 +175,11 @@ class Held:
     Its weight becomes ten times as large towards the end: the surface first finds its form, and then the handles.
     """
 
-    name, weight, spent, since = "handles", 100.0, 0.0, Guess.until
+    name, weight, spent = "handles", 100.0, 0.0
 
     def __init__(self, network: Map, motion: Motion, *, n: int) -> None:
         self.network, self.motion, self.n = network, motion, n
+        self.since = Guess.arrived if len(motion.way) > 1 else 0.0
 
     def sample(self, generator: torch.Generator) -> Batch:
         m, self.weight = self.motion, 100 * 10**self.spent
@@ -277,7 +280,7 @@ class Motion:
         faces: The faces of the extracted surface, and their areas.
         rest: Its vertices at rest, (n, d).
         moved: Where the first guess has them at each part, (p, n, d).
-        way: The same at each stage of the way there, (s, n, d).
+        way: The same at each stage of the way there, (s, n, d); the end alone if nothing turns by more than 90 degrees.
         held: Which of them are held, by handles or for want of any, (h,).
         targets: Where these are to be at each part, (p, h, d).
         shares: How often each of these is drawn, (h,).
@@ -314,11 +317,13 @@ class Motion:
             )
             for part in parts
         ]
-        way = poses = _poses(edit, held, targets)
+        poses = _poses(edit, held, targets)
+        angle = max(abs(handle.angle) for handle in handles)
+        way = poses if angle > 90 and not path else poses[-1:]
         if not path:
             parts, targets, poses = [1.0], targets[-1:], poses[-1:]
         shares = np.concatenate([np.full(len(group), 1 / max(1, len(group))) for group in groups])
-        around = Box.around(np.concatenate(way)).expanded(MARGIN * max(surface.box.size))
+        around = Box.around(np.concatenate(poses)).expanded(MARGIN * max(surface.box.size))
         box = field.box.union(around).during(*[(0.0, 1.0)] * path)
         like = next(field.parameters())
 
@@ -335,7 +340,7 @@ class Motion:
             torch.from_numpy(held).to(like.device),
             torch.stack([unit(target) for target in targets]),
             torch.from_numpy(shares),
-            max(abs(handle.angle) for handle in handles),
+            angle,
         )
 
     def drawn(self, n: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:

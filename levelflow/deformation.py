@@ -159,10 +159,9 @@ class Guess:
     def sample(self, generator: torch.Generator) -> Batch:
         m = self.motion
         i, k = (torch.randint(size, (self.n,), generator=generator) for size in (len(m.rest), len(m.times)))
-        last = len(m.way) - 1
-        stage = min(last, 1 + int((last - 1) * self.spent / self.arrived)) if last else 0
-        moved = m.moved[k, i] if len(m.times) > 1 else m.way[stage, i]
-        return moved, m.rest[i], m.times[k]
+        last = len(m.moved) - 1
+        stage = min(last, 1 + int((last - 1) * self.spent / self.arrived)) if m.staged else k
+        return m.moved[stage, i], m.rest[i], m.times[k]
 
     def loss(self, *batch: Tensor) -> Tensor:
         x, y, t = batch
@@ -179,7 +178,7 @@ class Held:
 
     def __init__(self, network: Map, motion: Motion, *, n: int) -> None:
         self.network, self.motion, self.n = network, motion, n
-        self.since = Guess.arrived if len(motion.way) > 1 else 0.0
+        self.since = Guess.arrived if motion.staged else 0.0
 
     def sample(self, generator: torch.Generator) -> Batch:
         m, self.weight = self.motion, 100 * 10**self.spent
@@ -279,8 +278,8 @@ class Motion:
         times: The parts as normalised times, (p, k); without columns if only the end counts.
         faces: The faces of the extracted surface, and their areas.
         rest: Its vertices at rest, (n, d).
-        moved: Where the first guess has them at each part, (p, n, d).
-        way: The same at each stage of the way there, (s, n, d); the end alone if nothing turns by more than 90 degrees.
+        moved: Where the first guess has them at each part, (s, n, d); if that is the end alone and something turns by
+            more than 90 degrees, at each stage of the way there.
         held: Which of them are held, by handles or for want of any, (h,).
         targets: Where these are to be at each part, (p, h, d).
         shares: How often each of these is drawn, (h,).
@@ -291,12 +290,16 @@ class Motion:
     times: Float[Tensor, "p k"]
     faces: tuple[Tensor, Tensor]
     rest: Float[Tensor, "n d"]
-    moved: Float[Tensor, "p n d"]
-    way: Float[Tensor, "s n d"]
+    moved: Float[Tensor, "s n d"]
     held: Tensor
     targets: Float[Tensor, "p h d"]
     shares: Float[Tensor, " h"]
     angle: float
+
+    @property
+    def staged(self) -> bool:
+        """Whether the first guess leads to the end in stages."""
+        return len(self.moved) > len(self.times)
 
     @classmethod
     def of(cls, field: Placed, handles: Sequence[Handle], *, path: bool, resolution: int) -> Motion:
@@ -319,11 +322,11 @@ class Motion:
         ]
         poses = _poses(edit, held, targets)
         angle = max(abs(handle.angle) for handle in handles)
-        way = poses if angle > 90 and not path else poses[-1:]
         if not path:
-            parts, targets, poses = [1.0], targets[-1:], poses[-1:]
+            parts, targets = [1.0], targets[-1:]
+            poses = poses if angle > 90 else poses[-1:]
         shares = np.concatenate([np.full(len(group), 1 / max(1, len(group))) for group in groups])
-        around = Box.around(np.concatenate(poses)).expanded(MARGIN * max(surface.box.size))
+        around = Box.around(np.concatenate(poses[-len(parts) :])).expanded(MARGIN * max(surface.box.size))
         box = field.box.union(around).during(*[(0.0, 1.0)] * path)
         like = next(field.parameters())
 
@@ -336,7 +339,6 @@ class Motion:
             (torch.tensor(surface.faces), torch.tensor(surface.face_areas)),
             unit(surface.vertices),
             torch.stack([unit(pose) for pose in poses]),
-            torch.stack([unit(pose) for pose in way]),
             torch.from_numpy(held).to(like.device),
             torch.stack([unit(target) for target in targets]),
             torch.from_numpy(shares),
@@ -355,7 +357,8 @@ class Motion:
         corner = (corner / corner.sum(1, keepdim=True)).to(self.rest)
         k = torch.randint(len(self.times), (n,), generator=generator)
         rest, moved = (
-            (corner[:, :, None] * points).sum(1) for points in (self.rest[faces[i]], self.moved[k[:, None], faces[i]])
+            (corner[:, :, None] * points).sum(1)
+            for points in (self.rest[faces[i]], self.moved[k[:, None] - len(self.times), faces[i]])
         )
         counts = 1 / often[i]
         return moved, rest, self.times[k], (counts / counts.mean()).to(rest)

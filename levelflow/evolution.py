@@ -25,6 +25,7 @@ from levelflow.networks.lifting import replaced
 from levelflow.networks.siren import SIREN
 from levelflow.shapes.distance import TriangleDistance
 from levelflow.shapes.mesh import Mesh, MeshWarning
+from levelflow.shapes.sampling import gap
 
 TOLERANCE = 5e-4
 """How far, on average, the surface of a field may be from where the flow takes it: in half sides of the box."""
@@ -381,8 +382,7 @@ def _outside(mesh: Mesh, *, cell: float) -> tuple[np.ndarray, Callable[[Tensor],
 @torch.no_grad()
 def _gap(field: Placed, given: Given) -> float:
     """The mean distance of the wanted points from the surface of a field, to first order, in units."""
-    jet = field.field.jet(given.points, order=1)
-    return float((jet.value / gradient_norm(jet)).abs().mean()) * field.box.frame.scale
+    return float(gap(field.field, given.points).mean()) * field.box.frame.scale
 
 
 @torch.no_grad()

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from levelflow._version import __version__
-from levelflow.cli.names import box_of, key_named
+from levelflow.cli.names import key_named
 from levelflow.cli.options import Depth, Device, Folder, Quiet, Resume, Seconds, Seed, ShapeArgument, Width
-from levelflow.cli.running import CHECKPOINT, CHECKPOINT_SECONDS, Run, folder_for, training
+from levelflow.cli.running import CHECKPOINT, CHECKPOINT_SECONDS, Run, at_rest, folder_for, refuse_file, training
 
 if TYPE_CHECKING:
-    from levelflow.conditions import Key
     from levelflow.export.frames import Frame
     from levelflow.fields import Placed
     from levelflow.shapes import Mesh
@@ -62,10 +61,9 @@ def deform(
     if isinstance(key, Mesh):
         Edit(key, asked, call="deform")  # says what is wrong with the handles before anything is trained
     folder, started = output or folder_for([shape], "deform"), time.perf_counter()
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"-o {folder}: this is a file; name a folder for the results.")
+    refuse_file(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    field = _at_rest(run, shape, key, folder, fit_steps)
+    field = at_rest(run, shape, key, fit_steps, folder / "rest.safetensors")
     settings = run.settings(
         "deform", [shape], handles=handles.read_text(), shell=repr(shell), path=path, blocks=blocks,
         resolution=resolution, fit_steps=fit_steps,
@@ -92,31 +90,6 @@ def deform(
     )
     meshes = len(frames) if frames else 1
     run.say(f"{folder}: field.safetensors, {meshes} mesh{'es' * (meshes > 1)}, frames.png, report.json")
-
-
-def _at_rest(run: Run, shape: str, key: Key, folder: Path, steps: int | None) -> Placed:
-    """The field that a shape is, one fitted to it, or the one that an interrupted run has left."""
-    from levelflow.fields import Placed
-    from levelflow.fitting import fit
-    from levelflow.minimising import DEFAULT_BUDGET, Budget
-    from levelflow.progress import Bar
-    from levelflow.saving import load, save
-
-    if isinstance(key, Placed):
-        return key
-    file = folder / "rest.safetensors"
-    if run.resume and file.exists():
-        field = load(file)
-        assert isinstance(field, Placed)
-        return field
-    box = box_of(key)
-    with Bar(f"fitting {shape}", quiet=run.quiet) as bar:
-        field = fit(
-            run.network(box.space), key, seed=run.seed, on_step=bar,
-            budget=DEFAULT_BUDGET if steps is None else Budget(steps),
-        )  # fmt: skip
-    save(field, file)
-    return field
 
 
 def _shown(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -24,13 +24,16 @@ from levelflow.cli.options import (
     Steps,
     Width,
 )
-from levelflow.cli.running import CHECKPOINT, CHECKPOINT_SECONDS, Run, folder_for, interrupted, training
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from levelflow.conditions import Key
-    from levelflow.fields import Placed
+from levelflow.cli.running import (
+    CHECKPOINT,
+    CHECKPOINT_SECONDS,
+    Run,
+    at_rest,
+    folder_for,
+    interrupted,
+    refuse_file,
+    training,
+)
 
 
 def filter_shape(
@@ -79,14 +82,13 @@ def filter_shape(
     length = None if wavelength is None else wavelength * unit
     sharpest = None if threshold is None else threshold / unit
     folder = output or folder_for([shape], "filter")
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"-o {folder}: this is a file; name a folder for the results.")
+    refuse_file(folder)
     folder.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
     settings = run.settings("filter", [shape], factor=factor, wavelength=length, threshold=sharpest, fit=fit_steps)
     kept = Checkpoint(folder / CHECKPOINT, settings=settings, seconds=CHECKPOINT_SECONDS)
     interrupted(run, kept)  # says what is wrong with the folder before anything is trained
-    before = _fitted(run, shape, key, fit_steps, folder / "before.safetensors")
+    before = at_rest(run, shape, key, fit_steps, folder / "before.safetensors")
     ready = time.perf_counter()
     with training(run, f"filtering {shape}", kept) as (on_step, state):
         after = scale_curvature(
@@ -118,29 +120,3 @@ def filter_shape(
     if moved is not None:
         run.say(f"the surface has moved by {moved['mean']:.3g} on average, at most {moved['max']:.3g}")
     run.say(f"{folder}: field.safetensors, before.ply, after.ply, filter.png, report.json")
-
-
-def _fitted(run: Run, shape: str, key: Key, steps: int | None, file: Path) -> Placed:
-    """The field that a shape is, the one that an interrupted run has fitted to it, or a new one."""
-    from levelflow.conditions import surface_of
-    from levelflow.fields import Placed
-    from levelflow.fitting import fit
-    from levelflow.minimising import DEFAULT_BUDGET, Budget
-    from levelflow.progress import Bar
-    from levelflow.saving import load, save
-
-    if isinstance(key, Placed):
-        return key
-    if run.resume and file.exists():
-        field = load(file)
-        assert isinstance(field, Placed)
-        return field
-    surface = surface_of(key)
-    with Bar(f"fitting {shape}", quiet=run.quiet) as bar:
-        field = fit(
-            run.network(surface.box.space), surface, budget=DEFAULT_BUDGET if steps is None else Budget(steps),
-            seed=run.seed, on_step=bar,
-        )  # fmt: skip
-    field.provenance["inputs"] = [shape]
-    save(field, file)
-    return field

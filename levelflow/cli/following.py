@@ -14,7 +14,7 @@ import typer
 from levelflow._version import __version__
 from levelflow.cli.names import box_of, fingerprint, half_box, key_named, place_in
 from levelflow.cli.options import Depth, Device, Folder, Quiet, Resume, Seed, ShapeArgument, Width
-from levelflow.cli.running import Run, folder_for
+from levelflow.cli.running import Run, folder_for, refuse_file
 
 if TYPE_CHECKING:
     from levelflow.boxes import Box
@@ -141,8 +141,7 @@ class Following:
         self.folder = output or folder_for([shape], verb)
         self.settings = {"verb": verb, "shape": fingerprint(shape), "seed": run.seed, **settings}
         self.file, self.started = self.folder / "field.safetensors", time.perf_counter()
-        if self.folder.exists() and not self.folder.is_dir():
-            raise ValueError(f"-o {self.folder}: this is a file; name a folder for the results.")
+        refuse_file(self.folder)
         if run.resume and not self.file.exists():
             raise ValueError(f"--resume: there is no evolution in {self.folder}; leave --resume out.")
 

@@ -146,8 +146,7 @@ def evolve(
         if len({*moments}) < 2:
             raise ValueError(f"--times: the shape is given at t = {moments[0]:g}; ask for other times as well.")
         until = (min(moments), max(moments))
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"-o {folder}: this is a file; name a folder for the results.")
+    refuse_file(folder)
     folder.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
     space, k = box_of(next(iter(at.values()))).space, 1 if moments else len(next(iter(at)))
@@ -286,6 +285,36 @@ def training(
 def folder_for(shapes: Sequence[str], verb: str) -> Path:
     """`armadillo-smooth`, or `spot-bob-morph`."""
     return Path("-".join([*(Path(shape).stem for shape in shapes), verb]))
+
+
+def refuse_file(folder: Path) -> None:
+    """Says that a file cannot be a folder for results."""
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"-o {folder}: this is a file; name a folder for the results.")
+
+
+def at_rest(run: Run, shape: str, key: Key, steps: int | None, file: Path) -> Placed:
+    """The field that a shape is, the one that an interrupted run has fitted to it, or a new one, left in a file."""
+    from levelflow.fields import Placed
+    from levelflow.fitting import fit
+    from levelflow.minimising import DEFAULT_BUDGET, Budget
+    from levelflow.progress import Bar
+    from levelflow.saving import load, save
+
+    if isinstance(key, Placed):
+        return key
+    if run.resume and file.exists():
+        field = load(file)
+        assert isinstance(field, Placed)
+        return field
+    with Bar(f"fitting {shape}", quiet=run.quiet) as bar:
+        field = fit(
+            run.network(box_of(key).space), key, budget=DEFAULT_BUDGET if steps is None else Budget(steps),
+            seed=run.seed, on_step=bar,
+        )  # fmt: skip
+    field.provenance["inputs"] = [shape]
+    save(field, file)
+    return field
 
 
 def accuracy_in_words(accuracy: dict[str, float] | None, box: Box) -> str:

@@ -234,9 +234,9 @@ def table(name: str, file: str, handles: list[Handle], options: argparse.Namespa
     print(f"\n{name:<12}{'handles':>10}{'':>9}{'volume':>10}{'stretch':>10}{'bend':>9}{'cuts':>6}{'s':>7}", flush=True)
     deformed, seconds = timed(
         lambda: deform(
-            field, handles, shell=Shell(options.stretch, options.bend), budget=Budget(options.steps),
-            resolution=options.resolution // 3 * 2, n=options.samples, network=None if options.blocks is None
-            else invertible(3, blocks=options.blocks),
+            field, handles, shell=Shell(options.stretch, options.bend, options.thicken), budget=Budget(options.steps),
+            resolution=options.resolution, n=options.samples, network=None if options.blocks is None
+            else invertible(3, blocks=options.blocks, frequencies=options.frequencies),
         )
     )  # fmt: skip
     assert isinstance(deformed, Placed)
@@ -310,8 +310,10 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=600, help="of a deformation")
     parser.add_argument("--samples", type=int, default=1024)
     parser.add_argument("--blocks", type=int, help="of its network")
+    parser.add_argument("--frequencies", type=int, default=3, help="of its encoding, if --blocks is given")
     parser.add_argument("--stretch", type=float, default=0.1)
     parser.add_argument("--bend", type=float, default=1e-3)
+    parser.add_argument("--thicken", type=float, default=0.1)
     parser.add_argument("--width", type=int, default=128, help="of fitted networks")
     parser.add_argument("--resolution", type=int, default=72)
     parser.add_argument("--with-edit", action="store_true")

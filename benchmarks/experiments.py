@@ -55,6 +55,9 @@ CONTRADICTION = (
 
 LIFTED = "It starts from a field fitted with twice the steps, lifted to space and time, as in Sec. 6.4."
 
+MORE = {1: 2, 2: 5}
+"""By how much more steps a field by the papers' constraints has, by the order of its equation."""
+
 POINTS = 1000
 """Points of each column of Tables 1 and 2, as in the paper."""
 
@@ -140,24 +143,24 @@ class Run:
         return constraints.fit(network, shape, CUBE, budget=budget, sampling=sampling, seed=self.seed)
 
     def constrained(self, equation: Equation, start: Placed, shape: Solid, interval: tuple[float, float]) -> Placed:
-        """A field of space and time by the papers' constraints, from a field of `distance` and twice the steps."""
+        """A field of space and time by the papers' constraints, from a field of `distance`: see `in_words`."""
         return constraints.solve(
             equation,
             start,
             shape,
             interval=interval,
-            budget=Budget(2 * self.setting.steps),
+            budget=Budget(MORE[equation.order] * self.setting.steps),
             sampling=replace(self.sampling, given=200_000),
             seed=self.seed,
         )
 
 
-def in_words(run: Run, shape: Solid) -> str:
+def in_words(run: Run, shape: Solid, order: int) -> str:
     """The steps of the fields for the tables."""
     steps = run.setting.steps
     return (
         f"For the table, the static field has {(8 if isinstance(shape, Mesh) else 4) * steps:,} steps for the distance "
-        f"in the whole box, and the one with constraints {2 * steps:,} more, for distance and residual there."
+        f"in the whole box, and the one with constraints {MORE[order] * steps:,} more, for distance and residual there."
     )
 
 
@@ -256,7 +259,7 @@ def moved(run: Run, shape: Solid, motion: Transport, *, times: Sequence[float], 
         lines.append([f"{way}: mean distance from the moved shape, at worst", max(errors), "no number"])
     shown = {way: ways[way] for way in ("carried, a fit", "one network, default")}
     found = {way: columns(f, motion, shape) for way, f in ways.items()}
-    return Outcome(sheet(shown, times, azimuth=azimuth), lines, found, [in_words(run, shape)])
+    return Outcome(sheet(shown, times, azimuth=azimuth), lines, found, [in_words(run, shape, motion.order)])
 
 
 def twist(run: Run) -> Outcome:
@@ -291,7 +294,8 @@ def smoothed(
         "default": columns(default, equation, shape, time=times[0]),
         "constraints": columns(constrained, equation, shape),
     }
-    outcome = Outcome(sheet({"default": default}, times, azimuth=azimuth), [], found, [in_words(run, shape)])
+    spent = in_words(run, shape, equation.order)
+    outcome = Outcome(sheet({"default": default}, times, azimuth=azimuth), [], found, [spent])
     first, last = interval
     outcome.notes.append(
         f"The times of `default` are those of the figure, from {times[0]:g} to {times[-1]:g}; those of `constraints` "

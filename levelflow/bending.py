@@ -26,6 +26,7 @@ class Agreement(Smoothing):
 
     name = "curvature"
     weight, noise, bend, size = 2.0, 0.01, 0.03, 10.0
+    knee = Smoothing.gentle
 
     def __init__(
         self,

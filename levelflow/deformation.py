@@ -137,9 +137,9 @@ def deform(
     return deformed
 
 
-def invertible(space: int, time: int = 0, *, blocks: int = 6) -> InvertibleResNet:
+def invertible(space: int, time: int = 0, *, blocks: int = 6, frequencies: int = 3) -> InvertibleResNet:
     """The network that `deform` begins with: many shallow blocks are better than few deep ones."""
-    return InvertibleResNet(space, time, blocks=blocks, width=64, depth=1, frequencies=3)
+    return InvertibleResNet(space, time, blocks=blocks, width=64, depth=1, frequencies=frequencies)
 
 
 class Guess:
@@ -206,11 +206,11 @@ class Elastic:
     """The energy of the shell at points of the surface at rest, whose places on the deformed one are followed.
 
     Points that handles hold are drawn a quarter as often as others, and count four times: where the motion is given
-    little can be found out.
+    little can be found out. The points are many, as a network learns to stretch between a few.
     """
 
     name, weight, since = "shell", 1.0, Guess.until
-    pool, reach = 8, 0.1
+    pool, reach = 50_000, 0.1
 
     def __init__(
         self,
@@ -223,7 +223,7 @@ class Elastic:
         generator: torch.Generator,
     ) -> None:
         self.network, self.shell, self.n = network, shell, n
-        x, y, t, self.shares = motion.drawn(self.pool * n, generator)
+        x, y, t, self.shares = motion.drawn(self.pool, generator)
         self.y, self.t, self.memory = y, t, {"x": x}
         at_rest = motion.box.frame.from_unit(y.double())
         gradient = field.jet(at_rest, order=1).gradient.detach().to(y)
@@ -248,17 +248,18 @@ class Elastic:
     @torch.no_grad()
     def energies(self) -> dict[str, float]:
         """The mean densities of stretching and bending, for each unit of area at rest."""
-        x = self.memory["x"]
-        for _ in range(8):
-            x, _ = self._followed(x, self.y, self.t)
-        lost = _length(self.network(x, self.t) - self.y) > SLACK
-        x[lost] = self.network.inverse(self.y[lost], self.t[lost])
-        jet = self.network.push(identity(x, self.t, order=2))
-        area = area_of(jet, self.normal)
-        return {
-            energy.__name__: float((self.shares * energy(jet, self.normal) / area).mean())
-            for energy in (stretching, bending)
-        }
+        total = dict.fromkeys((stretching, bending), 0.0)
+        parts = (self.memory["x"], self.y, self.t, self.normal, self.shares)
+        for x, y, t, normal, shares in zip(*(part.split(4096) for part in parts), strict=True):
+            for _ in range(8):
+                x, _ = self._followed(x, y, t)
+            lost = _length(self.network(x, t) - y) > SLACK
+            x[lost] = self.network.inverse(y[lost], t[lost])
+            jet = self.network.push(identity(x, t, order=2))
+            area = area_of(jet, normal)
+            for energy in total:
+                total[energy] += float((shares * energy(jet, normal) / area).sum())
+        return {energy.__name__: value / len(self.y) for energy, value in total.items()}
 
     @torch.no_grad()
     def _followed(self, x: Tensor, y: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:

@@ -9,18 +9,20 @@ import torch
 from torch import Tensor
 
 from levelflow.boxes import Box
-from levelflow.conditions import Given
+from levelflow.conditions import Given, Sampling
 from levelflow.equations.curvature import MeanCurvature
 from levelflow.equations.eikonal import Eikonal
 from levelflow.equations.heat import Heat
 from levelflow.equations.stationary import Stationary
 from levelflow.equations.transport import Rotation, Transport
+from levelflow.extraction import extract
 from levelflow.fields import Field, Placed
 from levelflow.jets import Jet
 from levelflow.minimising import Budget, minimise
-from levelflow.motion import Blend, Carried, Motion
+from levelflow.motion import Blend, Carried, Motion, Smoothing
 from levelflow.networks.siren import SIREN
-from levelflow.shapes.analytic import Circle
+from levelflow.shapes.analytic import Circle, Cuboid
+from levelflow.solving import solve
 from tests.fields import Explicit, siren
 
 BOX = Box((1, -2), (5, 1), ((2.0, 6.0),))
@@ -285,3 +287,30 @@ def test_an_equation_sees_points_far_from_the_origin_exactly() -> None:
     z = torch.rand(50, 3, generator=torch.Generator().manual_seed(0))
     Motion(Placed(SIREN(2, 1, width=8, depth=2), box), Look(), n=4).loss(z)
     assert (seen[0] - (4e6 + 1 + z[:, :2].double())).abs().max() < 1e-6
+
+
+def test_errors_of_a_motion_by_curvature_are_forgiven_only_later() -> None:
+    """At first an error of a tenth counts as its square, and at the end like a logarithm beyond a hundredth."""
+    term = Smoothing(Placed(siren(2, 1), BOX), MeanCurvature(0.1), n=8)
+    knees = []
+    for term.spent in (0.0, 0.1, 0.35, 1.0):
+        knees.append(term.knee)
+    assert knees[0] == pytest.approx(Motion.knee)
+    assert knees[1] == pytest.approx(Motion.knee * 0.1 ** (0.1 / 0.35))
+    assert knees[2:] == pytest.approx([0.01, 0.01])
+
+
+@pytest.mark.slow
+def test_the_faces_of_a_cube_stay_inside_it() -> None:
+    """By the principle of comparison a surface stays in its convex hull; faces once left the box at the start."""
+    field = solve(
+        MeanCurvature(0.1), SIREN(3, 1), at={0.0: Cuboid((1.2, 1.2, 1.2))}, until=1.0, budget=Budget(400),
+        sampling=Sampling(4096),
+    )  # fmt: skip
+    volumes = []
+    for t in (0.1, 0.2, 0.4, 0.8):
+        surface = extract(field.at(t), resolution=64, refine=2)
+        assert surface.is_watertight and surface.components == 1
+        assert max(map(abs, (*surface.box.lower, *surface.box.upper))) < 0.605
+        volumes.append(surface.volume)
+    assert volumes == sorted(volumes, reverse=True)

@@ -9,8 +9,11 @@ import pytest
 import torch
 
 from levelflow import SIREN, Box, Budget, Circle, Sampling, fit
-from levelflow.equations import Constant, Transport
+from levelflow.equations import Constant, MeanCurvature, Transport
+from levelflow.jets import identity
 from levelflow.measures import residual_table
+from levelflow.shapes import Rectangle
+from tests.fields import siren
 
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
 SQUARE = Box((-1.0, -1.0), (1.0, 1.0))
@@ -129,6 +132,33 @@ def test_the_residual_is_asked_for_everywhere(script, generator):
     assert table.equation.mean < 0.02 and table.surface.mean < 0.01
     x = torch.tensor([[0.5, 0.0], [-0.1, 0.0], [0.9, 0.0]], dtype=torch.float64)
     assert moved.at(1.0)(x).tolist() == pytest.approx([0.0, 0.0, 0.4], abs=0.06)
+
+
+def test_the_root_of_the_time_has_exact_jets_and_slices(script, generator):
+    clock = script("constraints").RootClock(siren(2, 1))
+    x = 2 * torch.rand(9, 2, generator=generator, dtype=torch.float64) - 1
+    t = 2 * torch.rand(9, 1, generator=generator, dtype=torch.float64) - 1
+    jet, pushed = clock.jet(x, t, order=2), clock.push(identity(x, t, order=2))
+    for fast, plain in ((jet.value, pushed.value), (jet.first, pushed.first), (jet.hessian, pushed.hessian)):
+        assert torch.allclose(fast, plain, rtol=0, atol=1e-13)
+    h = 1e-6
+    slope = (clock(x, t + h) - clock(x, t - h)) / (2 * h)
+    assert torch.allclose(jet.dt[:, 0], slope, rtol=0, atol=1e-7)
+    assert torch.allclose(clock.at(0.25)(x), clock(x, torch.full_like(t, 0.25)), rtol=0, atol=1e-13)
+
+
+def test_a_corner_that_melts_is_followed_by_the_root_of_the_time(script, generator):
+    """Only where an equation of second order begins at the shape; and a quarter of the samples are early then."""
+    constraints, square = script("constraints"), Rectangle((0.8, 0.8))
+    still = constraints.fit(SIREN(2, width=24, depth=2), square, SQUARE, **QUICK)
+    melted = constraints.solve(MeanCurvature(0.1), still, square, interval=(0.0, 0.3), **QUICK)
+    other = constraints.solve(MeanCurvature(0.1), still, square, interval=(-0.3, 0.3), **QUICK)
+    assert isinstance(melted.field, constraints.RootClock) and isinstance(other.field, SIREN)
+    (z,) = constraints.Everywhere(melted, MeanCurvature(0.1), n=8000).sample(generator)
+    early = (z[:, 2] < -0.98).double().mean()
+    assert early == pytest.approx(0.25 * 0.01**0.5 + 0.75 * 0.01, rel=0.2)
+    corner = torch.tensor([[0.38, 0.38]], dtype=torch.float64)
+    assert melted.at(0.3)(corner) > 0.02 > still(corner)
 
 
 @pytest.mark.slow

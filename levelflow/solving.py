@@ -22,7 +22,7 @@ from levelflow.equations.volume import VolumePreserving
 from levelflow.fields import Placed
 from levelflow.measures import accuracy
 from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
-from levelflow.motion import Blend, Carried, Diffusion, Held, Motion, Smoothing
+from levelflow.motion import Blend, Carried, Diffusion, Held, Motion, Outside, Smoothing
 from levelflow.networks.lifting import lift, replaced
 from levelflow.networks.lipschitz import LipschitzMLP
 from levelflow.networks.periodic import Periodic, check_cell
@@ -215,6 +215,9 @@ def _motion(
     held = given[0].where(functools.partial(_held, equation), box)
     if alone and len(held.near):
         terms.append(Held(field, [held], [0.0], n=n // 4, band=band))
+    if smooths and not field.periodic and all(column.contracts for column in equation.columns):
+        outside = Outside(field, given[0], n=max(1, n // 8), generator=generator)
+        terms += [outside] if len(outside.points) else []
     start = given[0].value
     if equation.bends:
         kappa, prepared = _for_curvature(field, generator), warm_up or 0.1

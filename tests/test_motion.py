@@ -19,7 +19,7 @@ from levelflow.extraction import extract
 from levelflow.fields import Field, Placed
 from levelflow.jets import Jet
 from levelflow.minimising import Budget, minimise
-from levelflow.motion import Blend, Carried, Motion, Smoothing
+from levelflow.motion import Blend, Carried, Motion, Outside, Smoothing
 from levelflow.networks.siren import SIREN
 from levelflow.shapes.analytic import Circle, Cuboid
 from levelflow.solving import solve
@@ -298,6 +298,30 @@ def test_errors_of_a_motion_by_curvature_are_forgiven_only_later() -> None:
     assert knees[0] == pytest.approx(Motion.knee)
     assert knees[1] == pytest.approx(Motion.knee * 0.1 ** (0.1 / 0.35))
     assert knees[2:] == pytest.approx([0.01, 0.01])
+
+
+def test_nothing_comes_in_from_beyond_a_closed_surface(generator: torch.Generator) -> None:
+    """A circle that shrinks is not charged; one with a piece in a corner at the last time is."""
+    box = Box((-1, -1), (1, 1), ((0.0, 1.0),))
+
+    def shrinking(u: Tensor, tau: Tensor) -> Tensor:
+        return u.norm(dim=1) - (0.25 - 0.1 * (tau[:, 0] + 1)).sqrt()
+
+    def stray(u: Tensor, tau: Tensor) -> Tensor:
+        corner = (torch.cat([u, tau], dim=1) - 1).norm(dim=1) - 0.1
+        return torch.minimum(shrinking(u, tau), corner)
+
+    losses = []
+    for field in (Explicit(shrinking, 2, 1), Explicit(stray, 2, 1)):
+        term = Outside(Placed(field, box), given(Circle(0.5), box), n=2000, generator=generator)
+        x, t = term.sample(generator)
+        assert (x.abs().amax(1) > 0.52).all() and x.abs().max() == 1
+        assert (x.abs() == 1).all(1).any() and (t == 1).any()
+        losses.append(float(term.loss(x, t).detach().max()))
+    assert losses[0] == 0
+    assert 0.1**2 < losses[1] <= 0.12**2
+    wide = given(Circle(0.5, center=(0.6, 0.0)), box)
+    assert not len(Outside(Placed(Explicit(stray, 2, 1), box), wide, n=2, generator=generator).points)
 
 
 @pytest.mark.slow

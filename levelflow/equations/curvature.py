@@ -34,6 +34,7 @@ class MeanCurvature(LevelSetEquation):
 
     order = 2
     sharpens = True
+    contracts = True
 
     def __post_init__(self) -> None:
         if not self.rate > 0:

@@ -24,6 +24,7 @@ class Equation(ABC):
         is_rate: Whether its error is a rate of the values of f, in length per unit time. All values take part then, and
             not the zero set alone.
         sharpens: Whether it is ill-posed backwards in time.
+        contracts: Whether a closed surface never leaves its convex hull, forwards in time.
         bounded: Whether its speed stays bounded where the curvature does not.
         bends: Whether it needs derivatives of the curvature, `Jet.curvature`.
         averages: Whether it needs means over the whole surface; it is then to be the whole equation.
@@ -34,6 +35,7 @@ class Equation(ABC):
     is_speed: bool = False
     is_rate: bool = False
     sharpens: bool = False
+    contracts: bool = False
     bounded: bool = False
     bends: bool = False
     averages: bool = False

@@ -46,6 +46,7 @@ class FeaturePreserving(LevelSetEquation):
 
     order = 2
     sharpens = True
+    contracts = True
     bounded = True
 
     def __post_init__(self) -> None:

@@ -296,22 +296,23 @@ class Blend:
 
 
 class Outside:
-    r"""$f \ge 0.02$ at every time outside of a box that is wider than the given surface by that, in normalised units.
+    r"""$f \ge 0.02$ at every time farther than `gap` from the convex hull of the given surface, in normalised units.
 
-    By the principle of comparison a closed surface that contracts stays in there; of one that meets the box nothing is
-    asked. An equation that is asked for near
-    the moving surface alone lets new pieces come in from beyond: after some lifted starts they stood in corners of the
-    box, at the last time. Faces, edges, corners and ends therefore have a share of the samples.
+    By the principle of comparison a closed surface that contracts stays in its hull; of one that meets the box nothing
+    is asked. An equation that is asked for near the moving surface alone lets new pieces come in from beyond: after
+    some lifted starts they stood in corners of the box, at the last time. Faces, edges, corners and ends therefore have
+    a share of the samples.
     """
 
-    name, weight, gap, pool = "outside", 10.0, 0.02, 20_000
+    name, weight, since, gap, least, pool = "outside", 1.0, 0.1, 0.04, 0.02, 20_000
 
     def __init__(self, placed: Placed, given: Given, *, n: int, generator: torch.Generator) -> None:
         self.placed, self.n, on, frame = placed, n, given.points, placed.box.frame
         sides = on.new_tensor(placed.box.size) / (2 * frame.scale)
         x = sides * self._within((self.pool, placed.space), generator).to(on)
         closed = (on.abs() < sides - self.gap).all()
-        x = x[((x < on.amin(0) - self.gap) | (x > on.amax(0) + self.gap)).any(1) & closed]
+        normals = torch.nn.functional.normalize(torch.randn((256, placed.space), generator=generator), dim=1).to(on)
+        x = x[((x @ normals.T - (on @ normals.T).amax(0)).amax(1) > self.gap) & closed]
         with torch.no_grad():
             self.points = x[given.value(frame.from_unit(x.double())) > self.gap * frame.scale]
 
@@ -320,7 +321,7 @@ class Outside:
         return x, self._within((self.n, self.placed.times), generator).to(x)
 
     def loss(self, *batch: Tensor) -> Tensor:
-        return (self.gap - self.placed.field(*batch)).relu() ** 2
+        return (self.least - self.placed.field(*batch)).relu() ** 2
 
     @staticmethod
     def _within(shape: tuple[int, ...], generator: torch.Generator) -> Tensor:

@@ -106,11 +106,11 @@ def test_a_lipschitz_network_is_smooth_between_keyframes_and_comes_back_from_its
 )
 def test_a_lipschitz_network_follows_an_equation(equation, radius, generator):
     field = solve(
-        equation, LipschitzMLP(2, 1, width=16, depth=2), at={0.0: Circle(0.5)}, until=1.0, budget=Budget(steps=400),
+        equation, LipschitzMLP(2, 1, width=16, depth=2), at={0.0: Circle(0.5)}, until=1.0, budget=Budget(steps=800),
         sampling=FEW,
     )  # fmt: skip
     for t in (0.0, 0.5, 1.0):
-        assert (radii(field, t, generator) - radius(t)).abs().mean() < 0.02
+        assert (radii(field, t, generator) - radius(t)).abs().mean() < 0.005
 
 
 def test_backwards_in_time_it_grows(generator):
@@ -314,7 +314,7 @@ def test_a_smaller_start_is_lifted_and_a_lifted_field_is_a_start(generator):
         assert (found.field.times, found.field.width, found.field.depth) == (1, 40, 3)
         with torch.no_grad():
             for t in (0.0, 0.3):
-                assert (found.at(t)(x) - still(x)).abs().max() < 0.03
+                assert (found.at(t)(x) - still(x)).abs().max() < 0.05
 
 
 def test_a_motion_goes_on_from_a_motion_in_a_deeper_network(generator):

@@ -99,7 +99,7 @@ def test_corners_stay_where_curvature_rounds_them(generator):
     for motion in (FeaturePreserving(1.0, 8.0), MeanCurvature(1.0)):
         field = solve(
             motion, SIREN(2, 1, width=64, omega=15.0), at={0.0: square}, until=1.2e-3,
-            budget=Budget(steps=250), sampling=Sampling(n=1024, given=20_000),
+            budget=Budget(steps=400), sampling=Sampling(n=1024, given=20_000),
         )  # fmt: skip
         points = Implicit(field.at(1.2e-3)).sample(4000, generator=generator).points
         sunk.append(float((points.abs() - 0.6).norm(dim=1).min()))

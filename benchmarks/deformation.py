@@ -294,8 +294,11 @@ def plane(options: argparse.Namespace) -> np.ndarray:
         shown.append(extract(made, resolution=160, refine=2))
         labels.append(name)
     motion, free = Motion.of(field, handles, path=False, resolution=96), Free(2)
-    terms: list[Term] = [Guess(free, motion, n=512), Held(free, motion, n=256)]
+    held = Held(free, motion, n=256)
+    terms: list[Term] = [Guess(free, motion, n=512), held]
     minimise(free.parameters(), terms, budget=budget, generator=torch.Generator().manual_seed(0))
+    gaps = held.missed() * motion.box.frame.scale
+    print(f"{'no inverse':<18}{float(gaps.mean()):>10.1e}{float(gaps.max()):>9.1e}")
     shown.append(extract(after(field, free, motion.box), resolution=160, refine=2))
     labels.append("no inverse")
     return contact_sheet(shown, labels, columns=4, size=options.size)
@@ -324,7 +327,7 @@ def main() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what is missed is seen in the table
         if options.plane:
-            stack([plane(options)], options.output)
+            sheets = [plane(options)]
         else:
             known = edits()
             if unknown := set(options.edits) - set(known):

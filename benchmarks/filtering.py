@@ -19,6 +19,7 @@ Rows beside ours:
     Taubin, extracted   ten steps of his filter (0.5, -0.53, equal weights) on the mesh extracted from the field
     Taubin, decimated   the same, on the extracted mesh brought down to 3000 faces first: figure 2 of the paper
     flows.Taubin        ours, which knows areas, on the extracted mesh, up to the same wavelength
+    mean curvature      `solve` from the same field, for as long as halves ripples of the same wavelength on a plane
 
 A mesh that is sharpened goes as far the other way as it would go in smoothing.
 
@@ -58,7 +59,9 @@ from levelflow import (
     load,
     save,
     scale_curvature,
+    solve,
 )
+from levelflow.equations import MeanCurvature
 from levelflow.rendering.images import stack
 
 MESHES = Path(
@@ -108,6 +111,13 @@ def even_taubin(mesh: Mesh, wavelength: float, *, steps: int = 10) -> Mesh:
     for _ in range(steps):
         mesh = Mesh(mesh.vertices + flow.displacement(mesh, 1.0, time=0.0), mesh.faces)
     return mesh
+
+
+def flattened(given: Placed, shape: Mesh, wavelength: float, steps: int) -> Placed:
+    """What mean curvature makes of a field in the time t in which exp(-(2 pi / wavelength)^2 t) falls to a half."""
+    time = math.log(2) * (wavelength / (2 * math.pi)) ** 2
+    network = SIREN(3, 1, width=given.field.width, omega=20.0)  # type: ignore[union-attr, arg-type]
+    return solve(MeanCurvature(1.0), network, at={0.0: shape}, until=time, start=given, budget=Budget(steps)).at(time)
 
 
 def sharpened(mesh: Mesh, smooth: Callable[[Mesh], Mesh]) -> Mesh:
@@ -179,16 +189,23 @@ def sphere(options: argparse.Namespace) -> np.ndarray:
     row("Taubin, decimated", *timed(lambda: taubin(decimated(mesh))))
     for length in options.lengths:
         row(f"flows.Taubin, {length:g}", *timed(lambda length=length: even_taubin(mesh, length)))  # type: ignore[misc]
+    for length in options.lengths:
+        row(
+            f"mean curvature, {length:g}",
+            *timed(lambda length=length: flattened(given, half_noisy(), length, options.steps)),  # type: ignore[misc]
+        )
     return pictures(shown, "a sphere, noisy above", azimuth=30, elevation=35)
 
 
 def armadillo(options: argparse.Namespace) -> list[np.ndarray]:
     """A table and two rows of pictures, whole and from near."""
+    shape = Mesh.read(MESHES / "armadillo.obj")
     network = SIREN(3, width=160, omega=20.0, generator=torch.Generator().manual_seed(0))
-    given = fitted("armadillo160", lambda: Mesh.read(MESHES / "armadillo.obj"), network, 1200, options.fields)
+    given = fitted("armadillo160", lambda: shape, network, 1200, options.fields)
     unit = given.box.frame.scale
     before = extract(given, resolution=192)
     few = decimated(before, 8000)
+    length = max(given.box.size) / 20  # the default of scale_curvature
     print(f"\n{'armadillo':<32}{'moved':>8}{'most':>8}{'area':>9}{'volume':>9}{'s':>6}")
 
     def row(name: str, surface: Placed | Mesh, seconds: float) -> Mesh:
@@ -207,6 +224,10 @@ def armadillo(options: argparse.Namespace) -> list[np.ndarray]:
                 lambda factor=factor: scale_curvature(given, factor, budget=Budget(options.steps))  # type: ignore[misc]
             )
             shown[f"ours, {factor:g}"] = row(f"ours, {factor:g}", field, seconds)
+        if title == "smoothed":
+            label = "mean curvature, smoothed"
+            field, seconds = timed(lambda: flattened(given, shape, length, options.steps))
+            shown[label] = row(label, field, seconds)
         for name, mesh in (("extracted", before), ("decimated", few)):
             act = taubin if title == "smoothed" else lambda mesh: sharpened(mesh, taubin)
             label = f"Taubin, {name}, {title}"

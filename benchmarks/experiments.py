@@ -73,6 +73,7 @@ class Setting:
         omega: The frequency; None for our defaults, 10 in space-time and 15 in space.
         points: Samples of a step.
         shares: Of the samples: in space-time, on the surface, off it.
+        given: Points with their distances, from which the fields for the tables draw theirs.
     """
 
     width: int = 128
@@ -81,6 +82,7 @@ class Setting:
     omega: float | None = None
     points: int = 4096
     shares: tuple[float, float, float] = (0.5, 0.25, 0.25)
+    given: int = 200_000
 
     def __str__(self) -> str:
         frequency = "" if self.omega is None else f" of frequency {self.omega:g}"
@@ -138,7 +140,7 @@ class Run:
         """
         omega = self.setting.omega or 20.0
         network = SIREN(width=self.setting.width, depth=self.setting.depth, omega=omega)
-        sampling = replace(self.sampling, given=200_000)
+        sampling = replace(self.sampling, given=self.setting.given)
         budget = Budget((8 if isinstance(shape, Mesh) else 4) * self.setting.steps)
         return constraints.fit(network, shape, CUBE, budget=budget, sampling=sampling, seed=self.seed)
 
@@ -150,7 +152,7 @@ class Run:
             shape,
             interval=interval,
             budget=Budget(MORE[equation.order] * self.setting.steps),
-            sampling=replace(self.sampling, given=200_000),
+            sampling=replace(self.sampling, given=self.setting.given),
             seed=self.seed,
         )
 
@@ -160,7 +162,8 @@ def in_words(run: Run, shape: Solid, order: int) -> str:
     steps = run.setting.steps
     return (
         f"For the table, the static field has {(8 if isinstance(shape, Mesh) else 4) * steps:,} steps for the distance "
-        f"in the whole box, and the one with constraints {MORE[order] * steps:,} more, for distance and residual there."
+        f"in the whole box, at {run.setting.given:,} points, and the one with constraints {MORE[order] * steps:,} more, "
+        "for distance and residual there."
     )
 
 

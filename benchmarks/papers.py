@@ -92,7 +92,7 @@ def _epochs(number: int, cloud: int, on_surface: int) -> int:
 
 HOMOTOPIES, NISE, MORE = "neural-homotopies", "nise-2023", "nise-2023, supplement"
 PLANE = Setting(width=64, points=2048, steps=150)
-TABLE, MOVED = Setting(steps=1000), Setting(width=192, steps=700)
+TABLE, MOVED = Setting(steps=1000), Setting(width=192, steps=700, given=1_000_000)
 
 EXPERIMENTS: Mapping[str, Experiment] = {
     "twist": Experiment(

@@ -84,7 +84,7 @@ STEPS = {
         ("distance",),
         ("analytic", "cloud", "combined", "implicit", "level", "mesh", "tabulated"),
     ),
-    "suite": (("solids", "suite"), ("energies", "films"), ("cases",)),
+    "suite": (("solids", "suite"), ("energies", "films", "parameters"), ("cases",)),
     "viewer": (("viewed",), ("packing",), ("frames",), ("editing",), ("page",), ("server",)),
 }
 LONGEST = 500

@@ -21,6 +21,7 @@ from levelflow.shapes.implicit import Implicit
 from levelflow.solving import solve
 from levelflow.suite.energies import followed, volume, willmore
 from levelflow.suite.films import catenoid, periodic, rings, scherk
+from levelflow.suite.parameters import families, features, heat
 from levelflow.suite.solids import Tube
 from levelflow.suite.suite import (
     POINTS,
@@ -248,6 +249,9 @@ CASES: dict[str, Callable[[Suite], Iterator[Row]]] = {
     "periodic": periodic,
     "willmore": willmore,
     "volume": volume,
+    "families": families,
+    "heat": heat,
+    "features": features,
     "followed": followed,
     "moved": moved,
     "standing": standing,

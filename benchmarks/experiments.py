@@ -162,8 +162,8 @@ def in_words(run: Run, shape: Solid, order: int) -> str:
     steps = run.setting.steps
     return (
         f"For the table, the static field has {(8 if isinstance(shape, Mesh) else 4) * steps:,} steps for the distance "
-        f"in the whole box, at {run.setting.given:,} points, and the one with constraints {MORE[order] * steps:,} more, "
-        "for distance and residual there."
+        f"in the whole box, at {run.setting.given:,} points, and the one with constraints {MORE[order] * steps:,} "
+        "more, for distance and residual there."
     )
 
 

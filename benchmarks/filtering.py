@@ -84,6 +84,7 @@ def fitted(name: str, given: Callable[[], Mesh | Polygon], network: SIREN, steps
         return field
     field = fit(network, given(), budget=Budget(steps))
     if kept:
+        kept.parent.mkdir(parents=True, exist_ok=True)
         save(field, kept)
     return field
 

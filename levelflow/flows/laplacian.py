@@ -15,9 +15,10 @@ from scipy.sparse.linalg import splu
 from levelflow.shapes import simplices
 from levelflow.shapes.simplices import Faces, Points
 
-# By how much two sides of a triangle are longer than the third, at least, and how long a segment is: shares of the
-# mean length of all sides.
-_SLACK = 1e-6
+# By how much two sides of a triangle are longer than the third, at least, and what they get where they are not; and how
+# long a segment is: shares of the mean length of all sides. On thinner triangles libigl flips edges for ever, and still
+# does after 1e-4.
+_THIN, _SLACK, _SHORT = 1e-8, 1e-3, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,13 +101,13 @@ def boundary(faces: Faces, n: int) -> Bool[np.ndarray, " n"]:
 
 def _of_triangles(lengths: Float[np.ndarray, "m 3"], faces: Faces) -> tuple[Any, Float[np.ndarray, " n"]]:
     slack = (lengths.sum(1) - 2 * lengths.max(1)).min()
-    lengths, faces, *_ = igl.intrinsic_delaunay_triangulation(lengths + max(0.0, _SLACK - slack), faces)
+    lengths, faces, *_ = igl.intrinsic_delaunay_triangulation(lengths + (_SLACK - slack) * (slack < _THIN), faces)
     mass = igl.massmatrix_intrinsic(lengths, faces, igl.MASSMATRIX_TYPE_VORONOI)
     return -igl.cotmatrix_intrinsic(lengths, faces), mass.diagonal()
 
 
 def _of_segments(lengths: Float[np.ndarray, "m 1"], faces: Faces) -> tuple[Any, Float[np.ndarray, " n"]]:
-    lengths = np.maximum(lengths[:, 0], _SLACK)
+    lengths = np.maximum(lengths[:, 0], _SHORT)
     ends, others = faces.T
     weights = np.repeat([[-1.0], [-1.0], [1.0], [1.0]], len(faces), axis=1) / lengths
     rows, columns = np.concatenate([ends, others, ends, others]), np.concatenate([others, ends, ends, others])

@@ -106,10 +106,15 @@ def _dirty() -> dict[str, Mesh]:
     sphere = ball(3, 12)
     pinched = sphere.vertices.copy()
     pinched[sphere.faces[0, 0]] = pinched[sphere.faces[0, 1]]
+    crushed, random = icosphere(2), np.random.default_rng(2)
+    ends = crushed.faces[random.random(len(crushed.faces)) < 0.2, :2]
+    vertices = crushed.vertices.copy()
+    vertices[ends[:, 0]] = vertices[ends[:, 1]] + 1e-9 * random.normal(size=(len(ends), 3))
     return {
         "needles": extracted(lambda x: x.norm(dim=1) - 0.5 + 1e-9 * (97 * x[:, 0]).sin(), 32),
         "not refined": extracted(lambda x: x.norm(dim=1) - 0.5, 24, refine=0),
         "an edge of no length": Mesh(pinched, sphere.faces),
+        "edges of next to nothing": Mesh(vertices, crushed.faces),
         "all corners on a line": Mesh([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [1, 1, 0]], [[0, 1, 2], [0, 2, 3]]),
         "a vertex twice in a face": Mesh(corner, [*tetrahedron, [0, 0, 1]]),
         "a vertex of no face": Mesh([*corner, [5, 5, 5]], tetrahedron),

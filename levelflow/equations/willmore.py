@@ -27,7 +27,8 @@ class Willmore(LevelSetEquation):
 
     The speed has fourth derivatives of f. `solve` trains a second network for the curvature and asks the two to agree,
     so that jets stay of second order; a jet given to this equation by hand needs `Jet.curvature`. Backwards in time the
-    flow is ill-posed.
+    flow is ill-posed. Narrow holes and thin parts are followed best in a box that is little larger than the surface:
+    `solve(..., box=...)`.
 
     Attributes:
         rate: The coefficient $\alpha > 0$, in length^4 per unit time.

@@ -32,12 +32,12 @@ def willmore(suite: Suite) -> Iterator[Row]:
     error = max(float((radii(field.at(t)) / 0.4 - 1).abs().max()) for t in (0.0, 0.001, 0.002))
     yield Row("sphere, Willmore flow, radius", error, 5e-3, seconds)
     clifford = Torus(0.5, 0.5 / math.sqrt(2))
-    field, seconds = suite.solve(flow, at={0.0: clifford}, until=0.002)
+    snug = Box((-0.9,) * 3, (0.9,) * 3)
+    field, seconds = suite.solve(flow, at={0.0: clifford}, until=0.002, box=snug)
     yield Row("Clifford's torus, energy", abs(_energy(field, 0.002) / (2 * math.pi**2) - 1), 5e-3, seconds)
     low, high = _rims(field, 0.002)
     yield Row("Clifford's torus, R / r", abs((high + low) / (high - low) / math.sqrt(2) - 1), 0.02, seconds)
-    roomy = Box((-0.9,) * 3, (0.9,) * 3)
-    field, seconds = suite.solve(flow, at={0.0: Torus(0.5, 0.25)}, until=max(BENT_RING), box=roomy)
+    field, seconds = suite.solve(flow, at={0.0: Torus(0.5, 0.25)}, until=max(BENT_RING), box=snug)
     for t, (low, high, energy) in BENT_RING.items():
         found = _rims(field, t)
         error = max(abs(found[0] - low), abs(found[1] - high)) / 0.9

@@ -115,15 +115,24 @@ class Everywhere(Motion):
         return self.knee**2 * torch.log1p((residual / self.knee) ** 2)
 
 
-def fit(network: SIREN, shape: Solid, box: Box, *, budget: Budget, sampling: Sampling, seed: int = 0) -> Placed:
-    """A static field with the distance of a shape in the whole box."""
+def fit(
+    network: SIREN,
+    shape: Solid,
+    box: Box,
+    *,
+    budget: Budget,
+    sampling: Sampling,
+    seed: int = 0,
+    eikonal: float = 1e-3,
+) -> Placed:
+    """A static field with the distance of a shape in the whole box, and slopes of 1 with the weight `eikonal`."""
     field = Placed(copy.deepcopy(network), box.during())
     generator = torch.Generator().manual_seed(seed)
     given = Given.of(shape, box, n=sampling.given, generator=generator, like=next(field.parameters()))
     n = sampling.n // 2
     terms: list[Term] = [
         OnSurface(field.field, given, (), n=n, normal=1e-3),
-        Distances(field.field, given, (), n=n),
+        Distances(field.field, given, (), n=n, eikonal=eikonal),
     ]
     minimise(field.parameters(), terms, budget=budget, generator=generator)
     return field

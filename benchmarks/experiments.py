@@ -73,7 +73,9 @@ class Setting:
         omega: The frequency; None for our defaults, 10 in space-time and 15 in space.
         points: Samples of a step.
         shares: Of the samples: in space-time, on the surface, off it.
+        fitted: The frequency of the static fields for the tables, if there is no other; 20 was tried on the armadillo.
         given: Points with their distances, from which the fields for the tables draw theirs.
+        eikonal: The weight of |grad f| = 1 beside distances, in the static fields for the tables.
     """
 
     width: int = 128
@@ -82,7 +84,9 @@ class Setting:
     omega: float | None = None
     points: int = 4096
     shares: tuple[float, float, float] = (0.5, 0.25, 0.25)
+    fitted: float = 20.0
     given: int = 200_000
+    eikonal: float = 1e-3
 
     def __str__(self) -> str:
         frequency = "" if self.omega is None else f" of frequency {self.omega:g}"
@@ -135,14 +139,15 @@ class Run:
     def distance(self, shape: Solid) -> Placed:
         """A static field with the distance in the whole of the papers' domain.
 
-        Frequency 20, tried on the armadillo, and more steps than an evolution, each of which costs several times as
-        much: eight times as many for a mesh, four times for a solid with a formula.
+        More steps than an evolution, each of which costs several times as much: eight times as many for a mesh, four
+        times for a solid with a formula.
         """
-        omega = self.setting.omega or 20.0
+        omega = self.setting.omega or self.setting.fitted
         network = SIREN(width=self.setting.width, depth=self.setting.depth, omega=omega)
         sampling = replace(self.sampling, given=self.setting.given)
         budget = Budget((8 if isinstance(shape, Mesh) else 4) * self.setting.steps)
-        return constraints.fit(network, shape, CUBE, budget=budget, sampling=sampling, seed=self.seed)
+        eikonal = self.setting.eikonal
+        return constraints.fit(network, shape, CUBE, budget=budget, sampling=sampling, seed=self.seed, eikonal=eikonal)
 
     def constrained(self, equation: Equation, start: Placed, shape: Solid, interval: tuple[float, float]) -> Placed:
         """A field of space and time by the papers' constraints, from a field of `distance`: see `in_words`."""

@@ -371,7 +371,13 @@ def measure(
 @app.command()
 def bench(
     cases: Annotated[
-        list[str] | None, typer.Argument(metavar="[CASE ...]", help="Some of the cases; all by default.")
+        list[str] | None,
+        typer.Argument(
+            metavar="[CASE ...]",
+            help="Some of: sphere, sharpening, cylinder, tori, corrugated, dumbbell, catenoid, rings, scherk, periodic, "
+            "willmore, volume, families, heat, features, followed, moved, standing, enright, morph, rates, fit; all by "
+            "default.",
+        ),
     ] = None,
     shape: Annotated[
         str, typer.Option("--mesh", metavar="SHAPE", help="What is carried around and fitted.")

@@ -374,9 +374,9 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="[CASE ...]",
-            help="Some of: sphere, sharpening, cylinder, tori, corrugated, dumbbell, catenoid, rings, scherk, periodic, "
-            "willmore, volume, families, heat, features, followed, moved, standing, enright, morph, rates, fit; all by "
-            "default.",
+            help="Some of: sphere, sharpening, cylinder, tori, corrugated, dumbbell, catenoid, rings, scherk, "
+            "periodic, willmore, volume, families, heat, features, followed, moved, standing, enright, morph, rates, "
+            "fit; all by default.",
         ),
     ] = None,
     shape: Annotated[

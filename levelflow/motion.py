@@ -312,7 +312,7 @@ class Outside:
         x = sides * self._within((self.pool, placed.space), generator).to(on)
         closed = (on.abs() < sides - self.gap).all()
         normals = torch.nn.functional.normalize(torch.randn((256, placed.space), generator=generator), dim=1).to(on)
-        x = x[((x @ normals.T - (on @ normals.T).amax(0)).amax(1) > self.gap) & closed]
+        x = x[((x @ normals.T - (on[: self.pool] @ normals.T).amax(0)).amax(1) > self.gap) & closed]
         with torch.no_grad():
             self.points = x[given.value(frame.from_unit(x.double())) > self.gap * frame.scale]
 

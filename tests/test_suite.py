@@ -4,11 +4,13 @@ import pytest
 import torch
 from scipy.special import ellipk
 
-from levelflow import Budget, Cuboid, Sampling
+from levelflow import Box, Budget, Cuboid, Sampling
 from levelflow.shapes import Cylinder
 from levelflow.suite import CASES, Row, Suite, Tube, rows
 from levelflow.suite.cases import _enright
 from levelflow.suite.films import P_AREA
+from levelflow.suite.parameters import _Quadric
+from tests.fields import Explicit, points
 
 
 def test_a_tube_without_waves_has_the_distance_of_a_cylinder(generator):
@@ -34,6 +36,15 @@ def test_enrights_field_is_free_of_divergence_and_odd_in_time(generator):
     divergence = sum(torch.autograd.grad(v[:, i].sum(), x, retain_graph=True)[0][:, i] for i in range(3))
     assert divergence.abs().max() < 1e-12
     assert torch.allclose(_enright(x, 3 - t), -v)
+
+
+def test_the_quadric_of_the_heat_equation_has_the_jet_of_its_formula():
+    box = Box((-1.0,) * 3, (1.0,) * 3)
+    explicit = Explicit(lambda x, t: ((x**2).sum(1) - 0.7**2) / (2 * 0.7), 3)
+    x, _ = points(explicit)
+    found, expected = (field.jet(x, order=2) for field in (_Quadric(0.7, box), explicit))
+    for part in ("value", "first", "second"):
+        assert torch.allclose(getattr(found, part), getattr(expected, part), atol=1e-12)
 
 
 def test_a_row_says_when_a_limit_is_missed():

@@ -103,7 +103,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         experiments.twist,
         Setting(256, 3, 48_000, 30.0, 58_000, (8, 25, 25)),
         "The surfaces at t = 0, 0.25, 0.5.",
-        Setting(width=256, steps=560, given=1_000_000, eikonal=4e-3),
+        Setting(steps=1000, given=1_000_000, eikonal=4e-3),
     ),
     "source-sink": Experiment(
         "Spot under a source in its body and a sink in its head",

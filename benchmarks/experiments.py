@@ -136,16 +136,16 @@ class Run:
     def fit(self, shape: Solid) -> Placed:
         return fit(self.network(0), shape, budget=self.budget, sampling=self.sampling, seed=self.seed)
 
-    def distance(self, shape: Solid) -> Placed:
-        """A static field with the distance in the whole of the papers' domain.
+    def steps_at_rest(self, shape: Solid) -> int:
+        """Those of a static field: more than an evolution's, each of which costs several times as much."""
+        return (8 if isinstance(shape, Mesh) else 4) * self.setting.steps
 
-        More steps than an evolution, each of which costs several times as much: eight times as many for a mesh, four
-        times for a solid with a formula.
-        """
+    def distance(self, shape: Solid) -> Placed:
+        """A static field with the distance in the whole of the papers' domain."""
         omega = self.setting.omega or self.setting.fitted
         network = SIREN(width=self.setting.width, depth=self.setting.depth, omega=omega)
         sampling = replace(self.sampling, given=self.setting.given)
-        budget = Budget((8 if isinstance(shape, Mesh) else 4) * self.setting.steps)
+        budget = Budget(self.steps_at_rest(shape))
         eikonal = self.setting.eikonal
         return constraints.fit(network, shape, CUBE, budget=budget, sampling=sampling, seed=self.seed, eikonal=eikonal)
 
@@ -164,11 +164,10 @@ class Run:
 
 def in_words(run: Run, shape: Solid, order: int) -> str:
     """The steps of the fields for the tables."""
-    steps = run.setting.steps
     return (
-        f"For the table, the static field has {(8 if isinstance(shape, Mesh) else 4) * steps:,} steps for the distance "
-        f"in the whole box, at {run.setting.given:,} points, and the one with constraints {MORE[order] * steps:,} "
-        "more, for distance and residual there."
+        f"For the table, the static field has {run.steps_at_rest(shape):,} steps for the distance in the whole box, at "
+        f"{run.setting.given:,} points, and the one with constraints {MORE[order] * run.setting.steps:,} more, for "
+        "distance and residual there."
     )
 
 

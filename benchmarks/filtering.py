@@ -62,6 +62,7 @@ from levelflow import (
     solve,
 )
 from levelflow.equations import MeanCurvature
+from levelflow.filtering import FINE
 from levelflow.rendering.images import stack
 
 MESHES = Path(
@@ -169,7 +170,8 @@ def deviations(surface: Placed | Mesh) -> tuple[float, float, float]:
 def sphere(options: argparse.Namespace) -> np.ndarray:
     """A table and the row of pictures."""
     network = SIREN(3, omega=20.0, generator=torch.Generator().manual_seed(0))
-    given = fitted("half-noisy", half_noisy, network, 900, options.fields)
+    shape = half_noisy()
+    given = fitted("half-noisy", lambda: shape, network, 900, options.fields)
     print(f"\n{'half-noisy sphere':<32}{'noisy':>9}{'clean':>9}{'volume':>9}{'s':>6}")
     shown: dict[str, Placed | Mesh] = {}
 
@@ -193,7 +195,7 @@ def sphere(options: argparse.Namespace) -> np.ndarray:
     for length in options.lengths:
         row(
             f"mean curvature, {length:g}",
-            *timed(lambda length=length: flattened(given, half_noisy(), length, options.steps)),  # type: ignore[misc]
+            *timed(lambda length=length: flattened(given, shape, length, options.steps)),  # type: ignore[misc]
         )
     return pictures(shown, "a sphere, noisy above", azimuth=30, elevation=35)
 
@@ -206,7 +208,6 @@ def armadillo(options: argparse.Namespace) -> list[np.ndarray]:
     unit = given.box.frame.scale
     before = extract(given, resolution=192)
     few = decimated(before, 8000)
-    length = max(given.box.size) / 20  # the default of scale_curvature
     print(f"\n{'armadillo':<32}{'moved':>8}{'most':>8}{'area':>9}{'volume':>9}{'s':>6}")
 
     def row(name: str, surface: Placed | Mesh, seconds: float) -> Mesh:
@@ -227,7 +228,7 @@ def armadillo(options: argparse.Namespace) -> list[np.ndarray]:
             shown[f"ours, {factor:g}"] = row(f"ours, {factor:g}", field, seconds)
         if title == "smoothed":
             label = "mean curvature, smoothed"
-            field, seconds = timed(lambda: flattened(given, shape, length, options.steps))
+            field, seconds = timed(lambda: flattened(given, shape, FINE * unit, options.steps))
             shown[label] = row(label, field, seconds)
         for name, mesh in (("extracted", before), ("decimated", few)):
             act = taubin if title == "smoothed" else lambda mesh: sharpened(mesh, taubin)

@@ -113,7 +113,7 @@ class Motion:
             walkers, steps = self._anywhere(len(walkers), generator), 4
         for _ in range(steps):
             walkers = torch.cat([self._newton(z) for z in walkers.split(4096)])
-        away = (walkers[:, :d].abs() > self._sides(walkers)).any(1).cpu()
+        away = (walkers[:, :d].abs() > _sides(self.placed, walkers)).any(1).cpu()
         away |= torch.rand(len(walkers), generator=generator) < self.turnover
         afresh = self._anywhere(len(walkers), generator)
         self.memory["walkers"] = torch.where(away[:, None].to(walkers.device), afresh, walkers)
@@ -132,15 +132,11 @@ class Motion:
     def _anywhere(self, n: int, generator: torch.Generator) -> Tensor:
         like = self.memory["walkers"]
         z = 2 * torch.rand(n, like.shape[1], generator=generator, dtype=like.dtype) - 1
-        z[:, : self.placed.space] *= self._sides(z)
+        z[:, : self.placed.space] *= _sides(self.placed, z)
         drawn = self.equation.draw(n, generator=generator)
         if drawn is not None:
             z[:, self.placed.space :] = self.placed.unit_times(drawn)
         return z.to(like.device)
-
-    def _sides(self, like: Tensor) -> Tensor:
-        """Half the side lengths of the box in normalised units: at most 1."""
-        return like.new_tensor(self.placed.box.size) / (2 * self.placed.box.frame.scale)
 
 
 class Smoothing(Motion):
@@ -308,7 +304,7 @@ class Outside:
 
     def __init__(self, placed: Placed, given: Given, *, n: int, generator: torch.Generator) -> None:
         self.placed, self.n, on, frame = placed, n, given.points, placed.box.frame
-        sides = on.new_tensor(placed.box.size) / (2 * frame.scale)
+        sides = _sides(placed, on)
         x = sides * self._within((self.pool, placed.space), generator).to(on)
         closed = (on.abs() < sides - self.gap).all()
         normals = torch.nn.functional.normalize(torch.randn((256, placed.space), generator=generator), dim=1).to(on)
@@ -334,3 +330,8 @@ class Held(Blend):
 
     name = "held"
     weight = 100.0
+
+
+def _sides(placed: Placed, like: Tensor) -> Tensor:
+    """Half the side lengths of the box in normalised units: at most 1."""
+    return like.new_tensor(placed.box.size) / (2 * placed.box.frame.scale)

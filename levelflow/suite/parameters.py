@@ -15,7 +15,7 @@ from levelflow.jets import Jet
 from levelflow.networks.siren import SIREN
 from levelflow.shapes import Sphere
 from levelflow.solving import solve
-from levelflow.suite.suite import Row, Suite, along, seeded
+from levelflow.suite.suite import Row, Suite, radii
 
 LIMIT, ORIGIN = 5e-3, (0.0, 0.0, 0.0)
 
@@ -101,9 +101,6 @@ class _Quadric(Field):
         return Jet(value, first, second, jet.space)
 
 
-def _error(field: Field, center: tuple[float, ...], radius: float) -> float:
+def _error(field: Field, center: tuple[float, float, float], radius: float) -> float:
     """The greatest relative error of the radius of a sphere."""
-    directions = torch.randn(2000, 3, generator=seeded(), dtype=torch.float64)
-    directions = directions / torch.linalg.vector_norm(directions, dim=1, keepdim=True)
-    found = along(field, torch.tensor(center, dtype=torch.float64), directions)
-    return float((found / radius - 1).abs().max())
+    return float((radii(field, center) / radius - 1).abs().max())

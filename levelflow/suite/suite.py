@@ -108,15 +108,15 @@ def mean_distance(field: Field, t: float, shape: Solid, motion: equations.Equati
     return max(float(there), float(here)) / unit(field)
 
 
-def radii(field: Field, *, height: float | None = None) -> Tensor:
-    """The distances of points of the surface from the origin, found along rays by bisection.
+def radii(field: Field, center: tuple[float, float, float] = (0.0, 0.0, 0.0), *, height: float | None = None) -> Tensor:
+    """The distances of points of the surface from the centre, found along rays by bisection.
 
-    With a height, from the point (0, 0, height) along horizontal rays.
+    With a height, from that above the centre along horizontal rays.
     """
     directions = torch.randn(2000, 3, generator=seeded(), dtype=torch.float64)
-    start = torch.zeros(3, dtype=torch.float64)
+    start = torch.tensor(center, dtype=torch.float64)
     if height is not None:
-        directions[:, 2], start[2] = 0.0, height
+        directions[:, 2], start[2] = 0.0, start[2] + height
     return along(field, start, directions / torch.linalg.vector_norm(directions, dim=1, keepdim=True))
 
 

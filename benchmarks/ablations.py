@@ -23,7 +23,7 @@ from levelflow import SIREN, Budget, Cuboid
 from levelflow.conditions import BAND
 from levelflow.equations import LevelSetEquation
 from levelflow.minimising import minimise
-from levelflow.motion import Smoothing
+from levelflow.motion import Clinging
 from levelflow.optimising import SOAP
 from levelflow.shapes.implicit import NoSurface
 from levelflow.suite import CASES, Suite, rows
@@ -33,7 +33,7 @@ Change = Callable[[], AbstractContextManager[object]]
 
 def motion(**changed: float) -> list[Change]:
     """Other constants of the term that asks for the equation."""
-    return [functools.partial(mock.patch.object, Smoothing, name, value) for name, value in changed.items()]
+    return [functools.partial(mock.patch.object, Clinging, name, value) for name, value in changed.items()]
 
 
 def network(**changed: float) -> list[Change]:

@@ -41,7 +41,7 @@ class Motion:
     name = "motion"
     weight, noise = 1.0, 0.01
     every, turnover, knee, near, bend = 10, 0.1, 0.1, 0.8, 0.1
-    ramp, spent = 0.0, 0.0
+    ramp, spent, gain = 0.0, 0.0, 1.0
 
     def __init__(
         self, placed: Placed, equation: Equation, *, n: int, since: float = 0.0, start: Start | None = None
@@ -63,7 +63,7 @@ class Motion:
         self.memory["age"] += 1
         near, d = max(1, round(self.near * self.n)), self.placed.space
         (z,) = pick(near, self.memory["walkers"], generator=generator)
-        noise = self.noise * torch.randn(near, d, generator=generator, dtype=z.dtype)
+        noise = self.noise / self.gain * torch.randn(near, d, generator=generator, dtype=z.dtype)
         z = torch.cat([z[:, :d] + noise.to(z.device), z[:, d:]], dim=1)
         return (torch.cat([z, self._anywhere(self.n - near, generator)]),)
 
@@ -83,28 +83,33 @@ class Motion:
 
     def charge(self, z: Tensor, jet: Jet) -> Tensor:
         """The loss for the error of the equation, (n,)."""
+        pace = self.pace
+        if pace < 1 and jet.first is not None:
+            jet = replace(jet, first=torch.cat([jet.gradient, jet.dt / pace], dim=1))
+        error = pace * self._errors(z, jet)
+        error = torch.where(self._is_speed(z), self.gain * error, error)
+        loss = self.knee**2 * torch.log1p((error / self.knee) ** 2)
+        steep = (gradient_norm(jet) > 0.05)[:, None]
+        return torch.where(steep | ~self._is_speed(z), loss, 0.0).sum(1)
+
+    def _errors(self, z: Tensor, jet: Jet) -> Tensor:
+        """The errors in normalised units, those of curvature relative to it where it is strong, (n, r)."""
         placed, d = self.placed, self.placed.space
         u, tau = z[:, :d], z[:, d:]
         # In float64, for the sake of shapes far from the origin of their units.
         x, t = placed.box.frame.from_unit(u.double()), placed.times_in_units(tau.double())
-        pace = self.pace
-        if pace < 1 and jet.first is not None:
-            jet = replace(jet, first=torch.cat([jet.gradient, jet.dt / pace], dim=1))
-        error = pace * self.equation.error(x, t, jet).reshape(len(z), -1).to(u.dtype)
-        error = error * self._scales(error)
+        error = self.equation.error(x, t, jet).reshape(len(z), -1).to(u.dtype)
+        error = error * error.new_tensor([part.unit(placed.box) for part in self.equation.columns])
         if self.equation.order > 1:
             bend = 1 + self.bend * placed.box.frame.scale * total_curvature(jet).detach().abs()
             sharp = [part.is_speed and part.order > 1 and not part.bounded for part in self.equation.columns]
             curved = torch.tensor(sharp, device=error.device)
             error = torch.where(curved, error / bend[:, None], error)
-        loss = self.knee**2 * torch.log1p((error / self.knee) ** 2)
-        steep = (gradient_norm(jet) > 0.05)[:, None]
-        counts = steep | ~torch.tensor([part.is_speed for part in self.equation.columns], device=steep.device)
-        return torch.where(counts, loss, 0.0).sum(1)
+        return error
 
-    def _scales(self, like: Tensor) -> Tensor:
-        """What brings each column to normalised units."""
-        return like.new_tensor([part.unit(self.placed.box) for part in self.equation.columns])
+    def _is_speed(self, like: Tensor) -> Tensor:
+        """Which columns are speeds, (r,)."""
+        return torch.tensor([part.is_speed for part in self.equation.columns], device=like.device)
 
     @torch.no_grad()
     def _walk(self, generator: torch.Generator) -> None:
@@ -155,6 +160,59 @@ class Smoothing(Motion):
     def knee(self) -> float:  # type: ignore[override]
         """Where the loss begins to grow like a logarithm: it comes down in the first part of the training."""
         return Motion.knee * (self.gentle / Motion.knee) ** min(1.0, self.spent / self.settled)
+
+
+class Clinging(Smoothing):
+    """The same for a shape that is free to move everywhere: samples stay with it.
+
+    All walkers start from the given surface, and there are no samples elsewhere: away from it the level sets of a
+    distance bend without bound, and what a network cannot follow there held up details of the surface as well. Where
+    the surface moves by less than `slow`, in the mean, errors count and samples lie in proportion to that, at most
+    `most` times; little by little, because the given surface has to be known first.
+
+    Args:
+        given: The shape that moves.
+    """
+
+    noise, near = 0.02, 1.0
+    slow, most, risen = 0.004, 5.0, 0.7
+
+    def __init__(
+        self,
+        placed: Placed,
+        equation: Equation,
+        given: Given,
+        *,
+        n: int,
+        since: float = 0.0,
+    ) -> None:
+        super().__init__(placed, equation, n=n, since=since)
+        self.given = given
+        self.memory["gain"] = torch.zeros(1)
+
+    def sample(self, generator: torch.Generator) -> Batch:
+        batch = super().sample(generator)
+        if not self.memory["gain"]:
+            self.memory["gain"] = self._measured(*batch).cpu().reshape(1)
+        return batch
+
+    @property
+    def gain(self) -> float:  # type: ignore[override]
+        """By how much errors are enlarged, and the noise of samples reduced, because little moves."""
+        return (float(self.memory["gain"]) or 1.0) ** min(1.0, self.spent / self.risen)
+
+    @torch.no_grad()
+    def _measured(self, z: Tensor) -> Tensor:
+        """The gain by the mean size of the errors if nothing moves."""
+        jet = self.jet(z)
+        still = replace(jet, first=torch.cat([jet.gradient, torch.zeros_like(jet.dt)], dim=1))
+        errors = self._errors(z, still)[gradient_norm(jet) > 0.05][:, self._is_speed(z)]
+        return (self.slow / (errors.abs().sum() / max(1, errors.numel())).clamp_min(1e-30)).clamp(1.0, self.most)
+
+    def _anywhere(self, n: int, generator: torch.Generator) -> Tensor:
+        z = super()._anywhere(n, generator)
+        (z[:, : self.placed.space],) = pick(n, self.given.points, generator=generator)
+        return z
 
 
 class Diffusion(Motion):

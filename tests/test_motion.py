@@ -19,7 +19,7 @@ from levelflow.extraction import extract
 from levelflow.fields import Field, Placed
 from levelflow.jets import Jet
 from levelflow.minimising import Budget, minimise
-from levelflow.motion import Blend, Carried, Motion, Outside, Smoothing
+from levelflow.motion import Blend, Carried, Clinging, Motion, Outside, Smoothing
 from levelflow.networks.siren import SIREN
 from levelflow.shapes.analytic import Circle, Cuboid
 from levelflow.solving import solve
@@ -339,3 +339,41 @@ def test_the_faces_of_a_cube_stay_inside_it() -> None:
         assert max(map(abs, (*surface.box.lower, *surface.box.upper))) < 0.605
         volumes.append(surface.volume)
     assert volumes == sorted(volumes, reverse=True)
+
+
+def test_where_little_moves_errors_count_in_proportion(generator: torch.Generator) -> None:
+    """A circle of normalised radius 0.4 that stands still, under curvature: its displacement is rate / 0.8 / 2."""
+    circle = Explicit(lambda u, tau: torch.linalg.vector_norm(u, dim=1) - 0.4, 2, 1)
+    placed = Placed(circle, BOX)
+    z = torch.tensor([[0.4, 0.0, 0.0]], dtype=torch.float64)
+    shape = given(Circle(0.8, center=(3.0, -0.5)), BOX)
+    for rate, enlarged in ((1.0, 1.0), (4e-3, None), (1e-5, Clinging.most)):
+        term = Clinging(placed, MeanCurvature(rate), shape, n=2000)
+        term.spent = 1.0
+        samples = term.sample(generator)[0]
+        error = rate / 0.8 * 2 / 2 / (1 + Motion.bend / 0.4)
+        gain = term.gain
+        assert gain == pytest.approx(enlarged or Clinging.slow / error, rel=0.02)
+        knee = term.knee
+        expected = knee**2 * math.log1p((gain * error / knee) ** 2)
+        assert term.loss(z).item() == pytest.approx(expected, rel=1e-3)
+        (z_next,) = term.sample(generator)
+        assert unit(circle, z_next).std().item() == pytest.approx(Clinging.noise / gain, rel=0.1)
+        assert len(samples) == 2000
+        term.spent = 0.0
+        assert term.gain == 1.0
+
+
+def test_samples_stay_with_the_given_shape(generator: torch.Generator) -> None:
+    """Of two circles in the field only one is given, and no walker is on the other."""
+    left, right = ([-0.5, 0.0], [0.5, 0.0])
+
+    def two(u: Tensor, tau: Tensor) -> Tensor:
+        return torch.stack([(u - u.new_tensor(c)).norm(dim=1) - 0.2 for c in (left, right)]).amin(0)
+
+    placed = Placed(Explicit(two, 2, 1), BOX)
+    shape = given(Circle(0.4, center=(2.0, -0.5)), BOX)
+    (near,) = Clinging(placed, MeanCurvature(0.1), shape, n=500).sample(generator)
+    assert (near[:, 0] < 0).all() and near[:, 2].std() == pytest.approx(1 / math.sqrt(3), rel=0.1)
+    (spread,) = Smoothing(placed, MeanCurvature(0.1), n=500).sample(generator)
+    assert 0.3 < (spread[:, 0] < 0).double().mean() < 0.7

@@ -23,7 +23,7 @@ from levelflow import SIREN, Budget, Cuboid
 from levelflow.conditions import BAND
 from levelflow.equations import LevelSetEquation
 from levelflow.minimising import minimise
-from levelflow.motion import Clinging
+from levelflow.motion import Clinging, Motion
 from levelflow.optimising import SOAP
 from levelflow.shapes.implicit import NoSurface
 from levelflow.suite import CASES, Suite, rows
@@ -34,6 +34,11 @@ Change = Callable[[], AbstractContextManager[object]]
 def motion(**changed: float) -> list[Change]:
     """Other constants of the term that asks for the equation."""
     return [functools.partial(mock.patch.object, Clinging, name, value) for name, value in changed.items()]
+
+
+def anywhere() -> list[Change]:
+    """Walkers and samples that are not bound to the given surface."""
+    return [functools.partial(mock.patch.object, Clinging, "_anywhere", Motion._anywhere)]
 
 
 def network(**changed: float) -> list[Change]:
@@ -62,8 +67,10 @@ VARIANTS: Mapping[str, list[Change]] = {
     "time weights 0.1": network(time_scale=0.1),
     "time weights 1": network(time_scale=1.0),
     "raw residual": raw(),
-    "samples anywhere": motion(near=0.0),
+    "walkers from anywhere": [*motion(near=0.8, noise=0.03), *anywhere()],
+    "samples anywhere": [*motion(near=0.0), *anywhere()],
     "noise 0.06": motion(noise=0.06),
+    "noise 0.03": motion(noise=0.03),
     "noise 0.01": motion(noise=0.01),
     "weight 1": motion(weight=1.0),
     "distance within 0.25": [functools.partial(mock.patch.object, levelflow.solving, "NARROW", BAND)],

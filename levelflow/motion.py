@@ -86,11 +86,11 @@ class Motion:
         pace = self.pace
         if pace < 1 and jet.first is not None:
             jet = replace(jet, first=torch.cat([jet.gradient, jet.dt / pace], dim=1))
-        error = pace * self._errors(z, jet)
-        error = torch.where(self._is_speed(z), self.gain * error, error)
+        error, speeds = pace * self._errors(z, jet), self._is_speed(z)
+        error = torch.where(speeds, self.gain * error, error)
         loss = self.knee**2 * torch.log1p((error / self.knee) ** 2)
         steep = (gradient_norm(jet) > 0.05)[:, None]
-        return torch.where(steep | ~self._is_speed(z), loss, 0.0).sum(1)
+        return torch.where(steep | ~speeds, loss, 0.0).sum(1)
 
     def _errors(self, z: Tensor, jet: Jet) -> Tensor:
         """The errors in normalised units, those of curvature relative to it where it is strong, (n, r)."""
@@ -177,15 +177,7 @@ class Clinging(Smoothing):
     noise, near = 0.02, 1.0
     slow, most, risen = 0.004, 5.0, 0.7
 
-    def __init__(
-        self,
-        placed: Placed,
-        equation: Equation,
-        given: Given,
-        *,
-        n: int,
-        since: float = 0.0,
-    ) -> None:
+    def __init__(self, placed: Placed, equation: Equation, given: Given, *, n: int, since: float = 0.0) -> None:
         super().__init__(placed, equation, n=n, since=since)
         self.given = given
         self.memory["gain"] = torch.zeros(1)

@@ -342,7 +342,7 @@ def test_the_faces_of_a_cube_stay_inside_it() -> None:
 
 
 def test_where_little_moves_errors_count_in_proportion(generator: torch.Generator) -> None:
-    """A circle of normalised radius 0.4 that stands still, under curvature: its displacement is rate / 0.8 / 2."""
+    """A still circle of normalised radius 0.4 under curvature, which in half the time should move by rate / 0.8."""
     circle = Explicit(lambda u, tau: torch.linalg.vector_norm(u, dim=1) - 0.4, 2, 1)
     placed = Placed(circle, BOX)
     z = torch.tensor([[0.4, 0.0, 0.0]], dtype=torch.float64)

@@ -30,6 +30,9 @@ from levelflow.shapes import Solid
 RATE = 1e-3
 """The learning rate from a lifted field: a third of ours, with which the first steps undo much of the fit."""
 
+POLISH = 2e-4
+"""The learning rate of a last fifth of the steps: what ours decays to leaves errors of its own in a wide network."""
+
 EARLY = 0.25
 """The share of the samples that are uniform by the root of the time, where that is the network's."""
 
@@ -97,7 +100,11 @@ class Everywhere(Motion):
     follow, and there the square alone would outweigh all distances. A part of the samples is early, if the clock is.
     """
 
-    weight, near, knee = 0.3, 0.0, 0.03
+    near, knee = 0.0, 0.03
+
+    def __init__(self, placed: Placed, equation: Equation, *, n: int, weight: float) -> None:
+        super().__init__(placed, equation, n=n)
+        self.weight = weight
 
     def sample(self, generator: torch.Generator) -> Batch:
         z, d = self._anywhere(self.n, generator), self.placed.space
@@ -134,7 +141,7 @@ def fit(
         OnSurface(field.field, given, (), n=n, normal=1e-3),
         Distances(field.field, given, (), n=n, eikonal=eikonal),
     ]
-    minimise(field.parameters(), terms, budget=budget, generator=generator)
+    _minimise(field, terms, budget, generator, rate=3e-3 * min(1.0, 128 / network.width))
     return field
 
 
@@ -148,6 +155,8 @@ def solve(
     budget: Budget,
     sampling: Sampling,
     seed: int = 0,
+    eikonal: float = 1e-3,
+    residual: float = 0.3,
 ) -> Placed:
     """A field of space and time from a static one: the shape's distance at one time, the residual at all times.
 
@@ -160,6 +169,8 @@ def solve(
         budget: Steps, or seconds.
         sampling: The samples of a step and their shares.
         seed: Of every random choice.
+        eikonal: The weight of |grad f| = 1 at the given time.
+        residual: The weight of the residual.
     """
     generator = torch.Generator().manual_seed(seed)
     lifted = lift(start.field, generator=generator)
@@ -170,8 +181,16 @@ def solve(
     n, on, off = sampling.counts()
     terms: list[Term] = [
         OnSurface(field.field, given, now, n=on, normal=1e-3),
-        Distances(field.field, given, now, n=off),
-        Everywhere(field, equation, n=n),
+        Distances(field.field, given, now, n=off, eikonal=eikonal),
+        Everywhere(field, equation, n=n, weight=residual),
     ]
-    minimise(field.parameters(), terms, budget=budget, generator=generator, rate=RATE)
+    _minimise(field, terms, budget, generator, rate=RATE)
     return field
+
+
+def _minimise(field: Placed, terms: list[Term], budget: Budget, generator: torch.Generator, *, rate: float) -> None:
+    """Four fifths of the steps at a rate of learning, the last at that of `POLISH`."""
+    assert budget.steps is not None
+    last = budget.steps // 5
+    for steps, now in ((budget.steps - last, rate), (last, POLISH)):
+        minimise(field.parameters(), terms, budget=Budget(steps), generator=generator, rate=now)

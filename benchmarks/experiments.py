@@ -75,7 +75,9 @@ class Setting:
         shares: Of the samples: in space-time, on the surface, off it.
         fitted: The frequency of the static fields for the tables, if there is no other; 20 was tried on the armadillo.
         given: Points with their distances, from which the fields for the tables draw theirs.
-        eikonal: The weight of |grad f| = 1 beside distances, in the static fields for the tables.
+        eikonal: The weight of |grad f| = 1 beside distances, in the fields for the tables.
+        residual: The weight of the residual, in the fields with constraints for the tables.
+        wide: Neurons of a hidden layer of the fields for the tables, where they are more.
     """
 
     width: int = 128
@@ -87,6 +89,8 @@ class Setting:
     fitted: float = 20.0
     given: int = 200_000
     eikonal: float = 1e-3
+    residual: float = 0.3
+    wide: int = 0
 
     def __str__(self) -> str:
         frequency = "" if self.omega is None else f" of frequency {self.omega:g}"
@@ -143,7 +147,8 @@ class Run:
     def distance(self, shape: Solid) -> Placed:
         """A static field with the distance in the whole of the papers' domain."""
         omega = self.setting.omega or self.setting.fitted
-        network = SIREN(width=self.setting.width, depth=self.setting.depth, omega=omega)
+        width = max(self.setting.width, self.setting.wide)
+        network = SIREN(width=width, depth=self.setting.depth, omega=omega)
         sampling = replace(self.sampling, given=self.setting.given)
         budget = Budget(self.steps_at_rest(shape))
         eikonal = self.setting.eikonal
@@ -159,15 +164,18 @@ class Run:
             budget=Budget(MORE[equation.order] * self.setting.steps),
             sampling=replace(self.sampling, given=self.setting.given),
             seed=self.seed,
+            eikonal=self.setting.eikonal,
+            residual=self.setting.residual,
         )
 
 
 def in_words(run: Run, shape: Solid, order: int) -> str:
     """The steps of the fields for the tables."""
+    wide = f", both with layers of {run.setting.wide}" if run.setting.wide > run.setting.width else ""
     return (
         f"For the table, the static field has {run.steps_at_rest(shape):,} steps for the distance in the whole box, at "
         f"{run.setting.given:,} points, and the one with constraints {MORE[order] * run.setting.steps:,} more, for "
-        "distance and residual there."
+        f"distance and residual there{wide}."
     )
 
 

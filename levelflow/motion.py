@@ -207,6 +207,19 @@ class Clinging(Smoothing):
         return z
 
 
+class Sharpening(Clinging):
+    """The same backwards in time, where nothing is forgiven: what grows is not to be given up for being large.
+
+    The weight therefore rises as the gain does, or else the given surface would be learnt too late.
+    """
+
+    gentle = Motion.knee
+
+    @property
+    def weight(self) -> float:  # type: ignore[override]
+        return Smoothing.weight ** min(1.0, self.spent / self.risen)
+
+
 class Diffusion(Motion):
     """The same for equations about all values of f: asked for in the whole box, half of the samples at the surface."""
 
@@ -350,7 +363,7 @@ class Outside:
     a share of the samples.
     """
 
-    name, weight, since, gap, least, pool = "outside", 1.0, 0.1, 0.04, 0.02, 20_000
+    name, weight, since, gap, least, pool = "outside", 30.0, 0.1, 0.04, 0.02, 20_000
 
     def __init__(self, placed: Placed, given: Given, *, n: int, generator: torch.Generator) -> None:
         self.placed, self.n, on, frame = placed, n, given.points, placed.box.frame

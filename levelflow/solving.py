@@ -22,7 +22,7 @@ from levelflow.equations.volume import VolumePreserving
 from levelflow.fields import Placed
 from levelflow.measures import accuracy
 from levelflow.minimising import DEFAULT_BUDGET, Budget, Divergence, Progress, Term, minimise
-from levelflow.motion import Blend, Carried, Clinging, Diffusion, Held, Motion, Outside, Smoothing
+from levelflow.motion import Blend, Carried, Clinging, Diffusion, Held, Motion, Outside, Sharpening, Smoothing
 from levelflow.networks.lifting import lift, replaced
 from levelflow.networks.lipschitz import LipschitzMLP
 from levelflow.networks.periodic import Periodic, check_cell
@@ -223,8 +223,8 @@ def _motion(
         kappa, prepared = _for_curvature(field, generator), warm_up or 0.1
         terms.append(Agreement(field, equation, kappa, n=n, until=prepared))
         motion: Motion = Bending(field, equation, kappa, n=n, since=prepared, start=start)
-    elif smooths and not equation.averages and not len(held.near):
-        motion = Clinging(field, equation, given[0], n=n, since=warm_up)
+    elif equation.order > 1 and alone and not everywhere and not equation.averages and not len(held.near):
+        motion = (Clinging if smooths else Sharpening)(field, equation, given[0], n=n, since=warm_up)
     else:
         kind = Diffusion if everywhere else Smoothing if smooths else Motion
         motion = kind(field, equation, n=n, since=warm_up, start=start)

@@ -19,7 +19,7 @@ from levelflow.extraction import extract
 from levelflow.fields import Field, Placed
 from levelflow.jets import Jet
 from levelflow.minimising import Budget, minimise
-from levelflow.motion import Blend, Carried, Clinging, Motion, Outside, Smoothing
+from levelflow.motion import Blend, Carried, Clinging, Motion, Outside, Sharpening, Smoothing
 from levelflow.networks.siren import SIREN
 from levelflow.shapes.analytic import Circle, Cuboid
 from levelflow.solving import solve
@@ -362,6 +362,17 @@ def test_where_little_moves_errors_count_in_proportion(generator: torch.Generato
         assert len(samples) == 2000
         term.spent = 0.0
         assert term.gain == 1.0
+
+
+def test_backwards_nothing_is_forgiven() -> None:
+    """Late in the training errors saturate forwards in time, and count as at first backwards."""
+    placed = Placed(Explicit(moving, 2, 1), BOX)
+    shape = given(Circle(0.8, center=(3.0, -0.5)), BOX)
+    for kind, knee in ((Clinging, Clinging.gentle), (Sharpening, Motion.knee)):
+        term = kind(placed, MeanCurvature(0.1), shape, n=10)
+        assert term.knee == pytest.approx(Motion.knee)
+        term.spent = 1.0
+        assert term.knee == pytest.approx(knee)
 
 
 def test_samples_stay_with_the_given_shape(generator: torch.Generator) -> None:

@@ -122,6 +122,13 @@ def test_backwards_in_time_it_grows(generator):
     assert (radii(field, -0.2, generator) - math.sqrt(0.25 + 0.04)).abs().max() < 0.005
 
 
+def test_before_and_after_the_given_time_are_equally_exact(generator):
+    with pytest.warns(UserWarning, match="sharpens before"):
+        field = solve(equations.MeanCurvature(0.1), network(), at={0.0: Circle(0.5)}, until=(-0.2, 0.8), **QUICK)
+    for t in (-0.2, 0.0, 0.4, 0.8):
+        assert (radii(field, t, generator) - math.sqrt(0.25 - 0.2 * t)).abs().max() < 0.005
+
+
 def test_units_do_not_matter(generator):
     """A circle a thousand times as large, far away, with rate and times to match, has the same radii."""
     center = (5e4, -2e4)

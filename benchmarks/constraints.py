@@ -33,7 +33,7 @@ RATE = 1e-3
 POLISH = 2e-4
 """The learning rate of a last fifth of the steps: what ours decays to leaves errors of its own in a wide network."""
 
-EARLY = 0.25
+EARLY = 0.5
 """The share of the samples that are uniform by the root of the time, where that is the network's."""
 
 
@@ -191,6 +191,6 @@ def solve(
 def _minimise(field: Placed, terms: list[Term], budget: Budget, generator: torch.Generator, *, rate: float) -> None:
     """Four fifths of the steps at a rate of learning, the last at that of `POLISH`."""
     assert budget.steps is not None
-    last = budget.steps // 5
+    last = max(1, budget.steps // 5)
     for steps, now in ((budget.steps - last, rate), (last, POLISH)):
         minimise(field.parameters(), terms, budget=Budget(steps), generator=generator, rate=now)

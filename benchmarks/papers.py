@@ -94,7 +94,7 @@ def _epochs(number: int, cloud: int, on_surface: int) -> int:
 
 HOMOTOPIES, NISE, MORE = "neural-homotopies", "nise-2023", "nise-2023, supplement"
 PLANE = Setting(width=64, points=2048, steps=150)
-TABLE = Setting(steps=1000)
+TABLE = Setting(steps=1000, given=1_000_000, residual=1.0, wide=256)
 
 EXPERIMENTS: Mapping[str, Experiment] = {
     "twist": Experiment(

@@ -65,6 +65,7 @@ def test_the_area_of_the_p_surface_is_that_of_its_weierstrass_representation():
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::levelflow.extraction.ExtractionWarning")  # so few steps may leave holes
 @pytest.mark.parametrize("case", CASES)
 def test_every_case_runs(case):
     suite = Suite(Cuboid((1.0, 0.6, 0.4), radius=0.1), "block", Budget(steps=60), Sampling(n=512, given=5000))

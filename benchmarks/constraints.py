@@ -33,6 +33,9 @@ RATE = 1e-3
 POLISH = 2e-4
 """The learning rate of a last fifth of the steps: what ours decays to leaves errors of its own in a wide network."""
 
+ON_SURFACE, NORMAL = 10.0, 1e-4
+"""The weight of f = 0 on the surface, and that of the normals in it; ten times as much for the values as in `fit`."""
+
 EARLY = 0.5
 """The share of the samples that are uniform by the root of the time, where that is the network's."""
 
@@ -138,7 +141,7 @@ def fit(
     given = Given.of(shape, box, n=sampling.given, generator=generator, like=next(field.parameters()))
     n = sampling.n // 2
     terms: list[Term] = [
-        OnSurface(field.field, given, (), n=n, normal=1e-3),
+        _on_surface(field, given, (), n=n),
         Distances(field.field, given, (), n=n, eikonal=eikonal),
     ]
     _minimise(field, terms, budget, generator, rate=3e-3 * min(1.0, 128 / network.width))
@@ -156,7 +159,7 @@ def solve(
     sampling: Sampling,
     seed: int = 0,
     eikonal: float = 1e-3,
-    residual: float = 0.3,
+    residual: float = 3.0,
 ) -> Placed:
     """A field of space and time from a static one: the shape's distance at one time, the residual at all times.
 
@@ -180,12 +183,18 @@ def solve(
     now = tuple(field.unit_times(torch.tensor([[time]], dtype=torch.float64))[0].tolist())
     n, on, off = sampling.counts()
     terms: list[Term] = [
-        OnSurface(field.field, given, now, n=on, normal=1e-3),
+        _on_surface(field, given, now, n=on),
         Distances(field.field, given, now, n=off, eikonal=eikonal),
         Everywhere(field, equation, n=n, weight=residual),
     ]
     _minimise(field, terms, budget, generator, rate=RATE)
     return field
+
+
+def _on_surface(field: Placed, given: Given, times: tuple[float, ...], *, n: int) -> OnSurface:
+    term = OnSurface(field.field, given, times, n=n, normal=NORMAL)
+    term.weight = ON_SURFACE
+    return term
 
 
 def _minimise(field: Placed, terms: list[Term], budget: Budget, generator: torch.Generator, *, rate: float) -> None:

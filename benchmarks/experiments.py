@@ -89,7 +89,7 @@ class Setting:
     fitted: float = 20.0
     given: int = 200_000
     eikonal: float = 1e-3
-    residual: float = 0.3
+    residual: float = 3.0
     wide: int = 0
 
     def __str__(self) -> str:

@@ -135,7 +135,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         experiments.armadillo,
         Setting(360, 4, _epochs(33_000, 80_000, 5000), 30.0, 20_000),
         "It becomes smoother; what is convex, as the fingers, contracts.",
-        Setting(steps=1250, given=1_000_000, eikonal=4e-3, residual=10.0, wide=256),
+        Setting(steps=1250, given=1_000_000, eikonal=4e-3, wide=256),
     ),
     "sphere-transport": Experiment(
         "A sphere of radius 1/2 moved along (0, 1, 1)",

@@ -360,10 +360,11 @@ class Outside:
     By the principle of comparison a closed surface that contracts stays in its hull; of one that meets the box nothing
     is asked. An equation that is asked for near the moving surface alone lets new pieces come in from beyond: after
     some lifted starts they stood in corners of the box, at the last time. Faces, edges, corners and ends therefore have
-    a share of the samples.
+    a share of the samples. The weight rises over half of the training, in which a lifted field finds its way.
     """
 
-    name, weight, since, gap, least, pool = "outside", 30.0, 0.1, 0.04, 0.02, 20_000
+    name, since, gap, least, pool = "outside", 0.1, 0.04, 0.02, 20_000
+    spent = 0.0
 
     def __init__(self, placed: Placed, given: Given, *, n: int, generator: torch.Generator) -> None:
         self.placed, self.n, on, frame = placed, n, given.points, placed.box.frame
@@ -374,6 +375,10 @@ class Outside:
         x = x[((x @ normals.T - (on[: self.pool] @ normals.T).amax(0)).amax(1) > self.gap) & closed]
         with torch.no_grad():
             self.points = x[given.value(frame.from_unit(x.double())) > self.gap * frame.scale]
+
+    @property
+    def weight(self) -> float:
+        return 30 * min(1.0, self.spent / 0.5) ** 2
 
     def sample(self, generator: torch.Generator) -> Batch:
         (x,) = pick(self.n, self.points, generator=generator)

@@ -364,7 +364,7 @@ class Outside:
     """
 
     name, since, gap, least, pool = "outside", 0.1, 0.04, 0.02, 20_000
-    spent = 0.0
+    weight, most, spent = 0.0, 30.0, 0.0
 
     def __init__(self, placed: Placed, given: Given, *, n: int, generator: torch.Generator) -> None:
         self.placed, self.n, on, frame = placed, n, given.points, placed.box.frame
@@ -376,11 +376,8 @@ class Outside:
         with torch.no_grad():
             self.points = x[given.value(frame.from_unit(x.double())) > self.gap * frame.scale]
 
-    @property
-    def weight(self) -> float:
-        return 30 * min(1.0, self.spent / 0.5) ** 2
-
     def sample(self, generator: torch.Generator) -> Batch:
+        self.weight = self.most * min(1.0, self.spent / 0.5) ** 2
         (x,) = pick(self.n, self.points, generator=generator)
         return x, self._within((self.n, self.placed.times), generator).to(x)
 

@@ -169,7 +169,7 @@ def solve(
         shape: The shape given at `time`.
         time: When.
         interval: The times in which the equation is asked for.
-        budget: Steps, or seconds.
+        budget: Steps; seconds are not known here.
         sampling: The samples of a step and their shares.
         seed: Of every random choice.
         eikonal: The weight of |grad f| = 1 at the given time.

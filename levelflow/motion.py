@@ -191,7 +191,12 @@ class Clinging(Smoothing):
     @property
     def gain(self) -> float:  # type: ignore[override]
         """By how much errors are enlarged, and the noise of samples reduced, because little moves."""
-        return (float(self.memory["gain"]) or 1.0) ** min(1.0, self.spent / self.risen)
+        return (float(self.memory["gain"]) or 1.0) ** self.rise
+
+    @property
+    def rise(self) -> float:
+        """How far the surface counts as known, from 0 to 1."""
+        return min(1.0, self.spent / self.risen)
 
     @torch.no_grad()
     def _measured(self, z: Tensor) -> Tensor:
@@ -217,7 +222,7 @@ class Sharpening(Clinging):
 
     @property
     def weight(self) -> float:  # type: ignore[override]
-        return Smoothing.weight ** min(1.0, self.spent / self.risen)
+        return Smoothing.weight**self.rise
 
 
 class Diffusion(Motion):

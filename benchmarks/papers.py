@@ -48,10 +48,10 @@ is wrong by 1e-2 in its gradient, and so in F; how the published ones come to 1e
 
 SMOOTHED = """Where columns are missed: the published networks have up to three times the width, five times the
 samples and ten times the steps or more. The cube's and the dumbbell's fields with constraints are of 128 neurons, with
-all weights 1 but for the residual's, 0.3, and a quarter of the samples early; the armadillo's, of 256, with the
-residual weighed 3 and f = 0 on the surface 1. The command now weighs the surface 10, and has not been run with that:
-with residuals weighed 0.3 the armadillo had missed the mean of the equation, with 3 it misses that of the surface,
-beside the greatest values. At the kinks of the distance, the edges of the cube and the medial axes, curvature has no
+all weights 1 but for the residual's, 0.3, and a quarter of the samples early. The armadillo's, of 256, had residuals
+that count like their logarithm beyond a knee, and twice the rate of learning of the command as it is. Its means are
+met since the residual weighs 3 and f = 0 on the surface 10; with 0.3 and 1 that of the equation was missed, with 3
+and 1 that of the surface. At the kinks of the distance, the edges of the cube and the medial axes, curvature has no
 bound at the given time, and a kink moves by the root of the time. Where the shape is given at the beginning, the
 network is therefore given that root for its time, and half of the samples are uniform by it. What is left of the
 greatest residuals of the cube is in the first hundredth of the interval, which holds about ten of the thousand points.
@@ -100,7 +100,7 @@ def _epochs(number: int, cloud: int, on_surface: int) -> int:
 
 HOMOTOPIES, NISE, MORE = "neural-homotopies", "nise-2023", "nise-2023, supplement"
 PLANE = Setting(width=64, points=2048, steps=150)
-TABLE = Setting(steps=1000, given=1_000_000, wide=256)
+TABLE = Setting(steps=1000, given=1_000_000, residual=0.5, wide=256)
 
 EXPERIMENTS: Mapping[str, Experiment] = {
     "twist": Experiment(

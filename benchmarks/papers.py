@@ -60,8 +60,9 @@ kink moves by the root of the time. Where the shape is given at the beginning, t
 for its time, and half of the samples are uniform by it. What is left of the greatest residuals of the cube is in the
 first hundredth of the interval, which holds about ten of the thousand points. With the
 weight 3 the means of the cube fell by a third to three quarters between the steps 2,000 and 4,000 of its first rate of
-learning, and not at all in the last fifth, at the rate that helps a fit at rest: more steps of the first kind are what
-was not tried. The default of `solve` does not compete: it asks for nothing of the distance beyond a band."""
+learning, and not at all in the last fifth, at the rate that helps a fit at rest. With 0.15, without that last fifth,
+3,500 steps gave it 0.00039, 0.010, 0.0012, 0.023, 0.0028 and 0.037 (by hand): that, and more steps, are to be tried
+next. The default of `solve` does not compete: it asks for nothing of the distance beyond a band."""
 
 TABLES: Mapping[int, tuple[str, str]] = {
     1: ("motion by velocity fields", CARRIED),

@@ -101,11 +101,11 @@ class Everywhere(Motion):
 
     Beyond the knee k it grows like |F|, $2 k^2 (\sqrt{1 + F^2 / k^2} - 1)$: where the medial axis bends, the square
     alone would outweigh all distances, and a logarithm no longer pulls at a wide network, which bends everywhere at
-    first. The knee rises tenfold with the training, for the greatest residuals. A part of the samples is early, if the
-    clock is.
+    first. The knee rises tenfold in the first part of the training and stays there, for the greatest residuals. A part
+    of the samples is early, if the clock is.
     """
 
-    near, knee, spent = 0.0, 0.03, 0.0
+    near, knee = 0.0, 0.03
 
     def __init__(self, placed: Placed, equation: Equation, *, n: int, weight: float) -> None:
         super().__init__(placed, equation, n=n)

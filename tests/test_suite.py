@@ -70,5 +70,4 @@ def test_the_area_of_the_p_surface_is_that_of_its_weierstrass_representation():
 def test_every_case_runs(case):
     suite = Suite(Cuboid((1.0, 0.6, 0.4), radius=0.1), "block", Budget(steps=60), Sampling(n=512, given=5000))
     found = list(rows(suite, [case]))
-    assert found and found[0].seconds > 0
-    assert all(row.error >= 0 and row.seconds >= 0 for row in found)  # a second row of one run takes no time of its own
+    assert found and all(row.error >= 0 and row.seconds > 0 for row in found)

@@ -31,12 +31,12 @@ RATE = 1e-3
 """The learning rate from a lifted field of 128 neurons: with ours, 3e-3, the first steps undo much of the fit."""
 
 POLISH = 2e-4
-"""The learning rate of a last fifth of the steps: what ours decays to leaves errors of its own in a wide network."""
+"""The learning rate of a last fifth of the steps of `fit`: what ours decays to leaves errors in a wide network."""
 
-ON_SURFACE, NORMAL = 10.0, 1e-4
-"""The weight of f = 0 on the surface, and that of the normals in it; ten times as much for the values as in `fit`."""
+AT_REST, MOVING, NORMAL = 10.0, 30.0, 1e-4
+"""The weight of f = 0 on the surface, without and with a residual beside it, and that of the normals in it."""
 
-EARLY = 0.5
+EARLY = 0.8
 """The share of the samples that are uniform by the root of the time, where that is the network's."""
 
 
@@ -101,22 +101,20 @@ class Everywhere(Motion):
 
     Beyond the knee k it grows like |F|, $2 k^2 (\sqrt{1 + F^2 / k^2} - 1)$: where the medial axis bends, the square
     alone would outweigh all distances, and a logarithm no longer pulls at a wide network, which bends everywhere at
-    first. The knee rises tenfold in the first part of the training and stays there, for the greatest residuals. A part
-    of the samples is early, if the clock is.
+    first. A part of the samples is early, if the clock is.
     """
 
-    near, knee = 0.0, 0.03
+    near = 0.0
 
-    def __init__(self, placed: Placed, equation: Equation, *, n: int, weight: float) -> None:
+    def __init__(self, placed: Placed, equation: Equation, *, n: int, weight: float, knee: float = 0.01) -> None:
         super().__init__(placed, equation, n=n)
-        self.weight = weight
+        self.weight, self.knee = weight, knee
 
     def sample(self, generator: torch.Generator) -> Batch:
         z, d = self._anywhere(self.n, generator), self.placed.space
         if isinstance(self.placed.field, RootClock):
             early = z[: round(EARLY * self.n), d:]
             early.copy_((early + 1) ** 2 / 2 - 1)
-        self.knee = max(self.knee, type(self).knee * 10**self.spent)
         return (z,)
 
     def loss(self, *batch: Tensor) -> Tensor:
@@ -144,10 +142,13 @@ def fit(
     given = Given.of(shape, box, n=sampling.given, generator=generator, like=next(field.parameters()))
     n = sampling.n // 2
     terms: list[Term] = [
-        _on_surface(field, given, (), n=n),
+        _on_surface(field, given, (), n=n, weight=AT_REST),
         Distances(field.field, given, (), n=n, eikonal=eikonal),
     ]
-    _minimise(field, terms, budget, generator, rate=3e-3 * _slower(network))
+    assert budget.steps is not None
+    last = max(1, budget.steps // 5)
+    for steps, rate in ((budget.steps - last, 3e-3 * _slower(network)), (last, POLISH)):
+        minimise(field.parameters(), terms, budget=Budget(steps), generator=generator, rate=rate)
     return field
 
 
@@ -163,6 +164,7 @@ def solve(
     seed: int = 0,
     eikonal: float = 1e-3,
     residual: float = 3.0,
+    knee: float = 0.01,
 ) -> Placed:
     """A field of space and time from a static one: the shape's distance at one time, the residual at all times.
 
@@ -172,11 +174,12 @@ def solve(
         shape: The shape given at `time`.
         time: When.
         interval: The times in which the equation is asked for.
-        budget: Steps; seconds are not known here.
+        budget: Steps or seconds.
         sampling: The samples of a step and their shares.
         seed: Of every random choice.
         eikonal: The weight of |grad f| = 1 at the given time.
         residual: The weight of the residual.
+        knee: Where the square of the residual begins to count like its size.
     """
     generator = torch.Generator().manual_seed(seed)
     lifted = lift(start.field, generator=generator)
@@ -186,28 +189,20 @@ def solve(
     now = tuple(field.unit_times(torch.tensor([[time]], dtype=torch.float64))[0].tolist())
     n, on, off = sampling.counts()
     terms: list[Term] = [
-        _on_surface(field, given, now, n=on),
+        _on_surface(field, given, now, n=on, weight=MOVING),
         Distances(field.field, given, now, n=off, eikonal=eikonal),
-        Everywhere(field, equation, n=n, weight=residual),
+        Everywhere(field, equation, n=n, weight=residual, knee=knee),
     ]
-    _minimise(field, terms, budget, generator, rate=RATE * _slower(lifted))
+    minimise(field.parameters(), terms, budget=budget, generator=generator, rate=RATE * _slower(lifted))
     return field
 
 
-def _on_surface(field: Placed, given: Given, times: tuple[float, ...], *, n: int) -> OnSurface:
+def _on_surface(field: Placed, given: Given, times: tuple[float, ...], *, n: int, weight: float) -> OnSurface:
     term = OnSurface(field.field, given, times, n=n, normal=NORMAL)
-    term.weight = ON_SURFACE
+    term.weight = weight
     return term
 
 
 def _slower(network: SIREN) -> float:
     """By how much lower the rate of learning is for a wide network."""
     return min(1.0, 128 / network.width)
-
-
-def _minimise(field: Placed, terms: list[Term], budget: Budget, generator: torch.Generator, *, rate: float) -> None:
-    """Four fifths of the steps at a rate of learning, the last at that of `POLISH`."""
-    assert budget.steps is not None
-    last = max(1, budget.steps // 5)
-    for steps, now in ((budget.steps - last, rate), (last, POLISH)):
-        minimise(field.parameters(), terms, budget=Budget(steps), generator=generator, rate=now)

@@ -55,9 +55,6 @@ CONTRADICTION = (
 
 LIFTED = "It starts from a field fitted with twice the steps, lifted to space and time, as in Sec. 6.4."
 
-MORE = {1: 2, 2: 5}
-"""By how much more steps a field by the papers' constraints has, by the order of its equation."""
-
 POINTS = 1000
 """Points of each column of Tables 1 and 2, as in the paper."""
 
@@ -77,7 +74,10 @@ class Setting:
         given: Points with their distances, from which the fields for the tables draw theirs.
         eikonal: The weight of |grad f| = 1 beside distances, in the fields for the tables.
         residual: The weight of the residual, in the fields with constraints for the tables.
+        knee: Where the square of that residual begins to count like its size.
         wide: Neurons of a hidden layer of the fields for the tables, where they are more.
+        longer: By how much more steps the fields with constraints for the tables have.
+        few: Samples of a step of theirs, if not `points`.
     """
 
     width: int = 128
@@ -90,7 +90,10 @@ class Setting:
     given: int = 200_000
     eikonal: float = 1e-3
     residual: float = 3.0
+    knee: float = 0.01
     wide: int = 0
+    longer: int = 2
+    few: int = 0
 
     def __str__(self) -> str:
         frequency = "" if self.omega is None else f" of frequency {self.omega:g}"
@@ -161,20 +164,23 @@ class Run:
             start,
             shape,
             interval=interval,
-            budget=Budget(MORE[equation.order] * self.setting.steps),
-            sampling=replace(self.sampling, given=self.setting.given),
+            budget=Budget(self.setting.longer * self.setting.steps),
+            sampling=replace(self.sampling, given=self.setting.given, n=self.setting.few or self.setting.points),
             seed=self.seed,
             eikonal=self.setting.eikonal,
             residual=self.setting.residual,
+            knee=self.setting.knee,
         )
 
 
-def in_words(run: Run, shape: Solid, order: int) -> str:
+def in_words(run: Run, shape: Solid) -> str:
     """The steps of the fields for the tables."""
-    wide = f", both with layers of {run.setting.wide}" if run.setting.wide > run.setting.width else ""
+    setting = run.setting
+    few = f" of {setting.few:,} samples" if setting.few else ""
+    wide = f", both with layers of {setting.wide}" if setting.wide > setting.width else ""
     return (
         f"For the table, the static field has {run.steps_at_rest(shape):,} steps for the distance in the whole box, at "
-        f"{run.setting.given:,} points, and the one with constraints {MORE[order] * run.setting.steps:,} more, for "
+        f"{setting.given:,} points, and the one with constraints {setting.longer * setting.steps:,} more{few}, for "
         f"distance and residual there{wide}."
     )
 
@@ -274,7 +280,7 @@ def moved(run: Run, shape: Solid, motion: Transport, *, times: Sequence[float], 
         lines.append([f"{way}: mean distance from the moved shape, at worst", max(errors), "no number"])
     shown = {way: ways[way] for way in ("carried, a fit", "one network, default")}
     found = {way: columns(f, motion, shape) for way, f in ways.items()}
-    return Outcome(sheet(shown, times, azimuth=azimuth), lines, found, [in_words(run, shape, motion.order)])
+    return Outcome(sheet(shown, times, azimuth=azimuth), lines, found, [in_words(run, shape)])
 
 
 def twist(run: Run) -> Outcome:
@@ -309,7 +315,7 @@ def smoothed(
         "default": columns(default, equation, shape, time=times[0]),
         "constraints": columns(constrained, equation, shape),
     }
-    spent = in_words(run, shape, equation.order)
+    spent = in_words(run, shape)
     outcome = Outcome(sheet({"default": default}, times, azimuth=azimuth), [], found, [spent])
     first, last = interval
     outcome.notes.append(

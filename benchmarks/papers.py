@@ -108,7 +108,7 @@ def _epochs(number: int, cloud: int, on_surface: int) -> int:
 
 HOMOTOPIES, NISE, MORE = "neural-homotopies", "nise-2023", "nise-2023, supplement"
 PLANE = Setting(width=64, points=2048, steps=150)
-TABLE = Setting(steps=1000, given=1_000_000, residual=0.5, wide=256)
+TABLE = Setting(steps=1000, given=1_000_000, residual=2.0, wide=256, longer=20, few=2048)
 
 EXPERIMENTS: Mapping[str, Experiment] = {
     "twist": Experiment(
@@ -149,7 +149,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         experiments.armadillo,
         Setting(360, 4, _epochs(33_000, 80_000, 5000), 30.0, 20_000),
         "It becomes smoother; what is convex, as the fingers, contracts.",
-        Setting(steps=1250, given=1_000_000, eikonal=4e-3, wide=256),
+        replace(TABLE, steps=1250, eikonal=4e-3, residual=3.0, knee=0.03, longer=12),
     ),
     "sphere-transport": Experiment(
         "A sphere of radius 1/2 moved along (0, 1, 1)",

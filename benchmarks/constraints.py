@@ -163,6 +163,7 @@ def solve(
     sampling: Sampling,
     seed: int = 0,
     eikonal: float = 1e-3,
+    distance: float = 1.0,
     residual: float = 3.0,
     knee: float = 0.01,
 ) -> Placed:
@@ -178,6 +179,7 @@ def solve(
         sampling: The samples of a step and their shares.
         seed: Of every random choice.
         eikonal: The weight of |grad f| = 1 at the given time.
+        distance: The weight of the distance off the surface.
         residual: The weight of the residual.
         knee: Where the square of the residual begins to count like its size.
     """
@@ -188,9 +190,11 @@ def solve(
     given = Given.of(shape, start.box, n=sampling.given, generator=generator, like=next(field.parameters()))
     now = tuple(field.unit_times(torch.tensor([[time]], dtype=torch.float64))[0].tolist())
     n, on, off = sampling.counts()
+    distances = Distances(field.field, given, now, n=off, eikonal=eikonal)
+    distances.weight = distance
     terms: list[Term] = [
         _on_surface(field, given, now, n=on, weight=MOVING),
-        Distances(field.field, given, now, n=off, eikonal=eikonal),
+        distances,
         Everywhere(field, equation, n=n, weight=residual, knee=knee),
     ]
     minimise(field.parameters(), terms, budget=budget, generator=generator, rate=RATE * _slower(lifted))

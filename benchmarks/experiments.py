@@ -73,8 +73,9 @@ class Setting:
         fitted: The frequency of the static fields for the tables, if there is no other; 20 was tried on the armadillo.
         given: Points with their distances, from which the fields for the tables draw theirs.
         eikonal: The weight of |grad f| = 1 beside distances, in the fields for the tables.
-        residual: The weight of the residual, in the fields with constraints for the tables.
-        knee: Where the square of that residual begins to count like its size.
+        distance: The weight of the distance off the surface, in the fields with constraints for the tables.
+        residual: The weight of the residual in them.
+        knee: Where the square of the residual begins to count like its size.
         wide: Neurons of a hidden layer of the fields for the tables, where they are more.
         longer: By how much more steps the fields with constraints for the tables have.
         few: Samples of a step of theirs, if not `points`.
@@ -89,6 +90,7 @@ class Setting:
     fitted: float = 20.0
     given: int = 200_000
     eikonal: float = 1e-3
+    distance: float = 1.0
     residual: float = 3.0
     knee: float = 0.01
     wide: int = 0
@@ -168,6 +170,7 @@ class Run:
             sampling=replace(self.sampling, given=self.setting.given, n=self.setting.few or self.setting.points),
             seed=self.seed,
             eikonal=self.setting.eikonal,
+            distance=self.setting.distance,
             residual=self.setting.residual,
             knee=self.setting.knee,
         )

@@ -133,7 +133,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         experiments.cube,
         Setting(256, 4, _epochs(8000, 40_000, 5000), 16.0, 20_000),
         "It contracts at the corners first, and is very close to a sphere before it vanishes.",
-        TABLE,
+        replace(TABLE, distance=3.0),
     ),
     "dumbbell": Experiment(
         "A dumbbell under mean curvature of rate 0.05",
@@ -149,7 +149,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         experiments.armadillo,
         Setting(360, 4, _epochs(33_000, 80_000, 5000), 30.0, 20_000),
         "It becomes smoother; what is convex, as the fingers, contracts.",
-        replace(TABLE, steps=1250, eikonal=4e-3, residual=3.0, knee=0.03, longer=12),
+        replace(TABLE, steps=1250, eikonal=4e-3, distance=2.0, residual=3.0, knee=0.03, longer=12),
     ),
     "sphere-transport": Experiment(
         "A sphere of radius 1/2 moved along (0, 1, 1)",

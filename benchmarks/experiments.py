@@ -234,6 +234,14 @@ def columns(f: Field, equation: Equation, shape: Solid, *, time: float = 0.0) ->
     return [value for spread in (table.surface, table.distance, table.equation) for value in spread]
 
 
+def usual_greatest(f: Field, equation: Equation, shape: Solid, *, samples: int = 100) -> list[float]:
+    """The median of the second, fourth and sixth column over many samples like theirs: what chance makes of them."""
+    generator = torch.Generator().manual_seed(0)
+    tables = [residual_table(f, equation, shape, time=0.0, n=POINTS, generator=generator) for _ in range(samples)]
+    found = torch.tensor([[table.surface.max, table.distance.max, table.equation.max] for table in tables])  # type: ignore[union-attr]
+    return found.median(0).values.tolist()
+
+
 def distance_from_moved(f: Field, t: float, shape: Solid, motion: Equation, *, n: int = 3000) -> float:
     """The mean distance between the surface at a time and the shape moved along exact characteristics.
 
@@ -318,8 +326,9 @@ def smoothed(
         "default": columns(default, equation, shape, time=times[0]),
         "constraints": columns(constrained, equation, shape),
     }
-    spent = in_words(run, shape)
-    outcome = Outcome(sheet({"default": default}, times, azimuth=azimuth), [], found, [spent])
+    usual = ", ".join(f"{value:.2g}" for value in usual_greatest(constrained, equation, shape))
+    lines: list[list[Cell]] = [["constraints: its three maxima, medians of 100 samples like the table's", usual, None]]
+    outcome = Outcome(sheet({"default": default}, times, azimuth=azimuth), lines, found, [in_words(run, shape)])
     first, last = interval
     outcome.notes.append(
         f"The times of `default` are those of the figure, from {times[0]:g} to {times[-1]:g}; those of `constraints` "

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from levelflow import SIREN, Box, Budget, Circle, Sampling, fit
+from levelflow import SIREN, Box, Budget, Circle, Sampling, Transported, fit
 from levelflow.equations import Constant, MeanCurvature, Transport
 from levelflow.jets import identity
 from levelflow.measures import residual_table
@@ -160,6 +160,14 @@ def test_a_corner_that_melts_is_followed_by_the_root_of_the_time(script, generat
     assert early == pytest.approx(share * 0.01**0.5 + (1 - share) * 0.01, rel=0.2)
     corner = torch.tensor([[0.38, 0.38]], dtype=torch.float64)
     assert melted.at(0.3)(corner) > 0.02 > still(corner)
+
+
+def test_the_usual_greatest_values_of_a_circle_that_is_too_large(script):
+    """On the surface and off it by the same everywhere, and still: what stands still solves its equation."""
+    still = Transport(Constant((0.0, 0.0)))
+    large = Transported(still, Circle(0.4), box=SQUARE.during((0.0, 1.0)))
+    found = script("experiments").usual_greatest(large, still, Circle(0.3), samples=3)
+    assert found == pytest.approx([0.1, 0.1, 0.0], abs=1e-6)
 
 
 @pytest.mark.slow

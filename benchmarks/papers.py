@@ -59,8 +59,8 @@ with the rate of learning, not with steps at the same rate: the equation mean of
 What brought the means down was found in the plane, on a square under the same motion (128 neurons, 3,000 steps of 2,048
 samples, by hand). Residuals that count like their size beyond 0.03, where the square counts up to 0.3 otherwise, took
 the means from 0.00032, 0.0012 and 0.0015 to 0.00011, 0.00098 and 0.0011; 0.01 took more. 1,500 steps of 4,096 samples,
-and 750 of 8,192, came to worse. Samples drawn where the residual is large, at once or in the second half, with weights
-that make up for it or without, made everything worse: what is largest no network follows. Twice the rate of learning
+and 750 of 8,192, came to worse. Samples drawn where the residual is large, at once (with weights that make up for it,
+or without) or in the second half, made everything worse: what is largest no network follows. Twice the rate of learning
 left distances wrong by 0.1 for good.
 
 The greatest values of the equation have three causes. At the kinks of the distance, the edges of the cube and the
@@ -70,10 +70,9 @@ four points are above 0.009, and all four in the first eightieth of the interval
 neck was, level sets end in tips of a radius of 0.03; the point that decides its column lies 0.004 from the axis, and
 the next has 0.019. The armadillo is given half way: before that the equation asks for details that grow, which the
 given distance does not have, and most of the greatest errors are there, at claws and ears. How much is chance stands
-with the experiments: medians over a hundred samples like the table's. By them the dumbbell meets
-its last column and the armadillo its greatest value on the surface; but the armadillo's off the surface is 0.02, and
-the cube's residual 0.025. The default of `solve` does not compete: it asks for nothing of the distance beyond a
-band."""
+with the experiments: medians over a hundred samples like the table's. By them the dumbbell meets its last column and
+the armadillo its greatest value on the surface; but the armadillo's off the surface is 0.02, and the cube's residual
+0.025. The default of `solve` does not compete: it asks for nothing of the distance beyond a band."""
 
 TABLES: Mapping[int, tuple[str, str]] = {
     1: ("motion by velocity fields", CARRIED),

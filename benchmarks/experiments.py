@@ -76,6 +76,7 @@ class Setting:
         distance: The weight of the distance off the surface, in the fields with constraints for the tables.
         residual: The weight of the residual in them.
         knee: Where the square of the residual begins to count like its size.
+        rate: The learning rate in them, at 128 neurons.
         wide: Neurons of a hidden layer of the fields for the tables, where they are more.
         longer: By how much more steps the fields with constraints for the tables have.
         few: Samples of a step of theirs, if not `points`.
@@ -93,6 +94,7 @@ class Setting:
     distance: float = 1.0
     residual: float = 3.0
     knee: float = 0.01
+    rate: float = constraints.RATE
     wide: int = 0
     longer: int = 2
     few: int = 0
@@ -173,6 +175,7 @@ class Run:
             distance=self.setting.distance,
             residual=self.setting.residual,
             knee=self.setting.knee,
+            rate=self.setting.rate,
         )
 
 
